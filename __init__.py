@@ -1,0 +1,17 @@
+"""Two-View Pose: where should a robot look from for its second view?
+
+Importing this package registers the Gymnasium ids and nothing else; it stays cheap on purpose.
+"""
+
+from gymnasium.envs.registration import register
+
+__version__ = "0.1.0"
+
+register(
+    id="TwoViewPose-v0",
+    entry_point="two_view_pose.envs.two_view_pose:TwoViewPoseEnv",
+)
+register(
+    id="TwoViewPoseDiscrete-v0",
+    entry_point="two_view_pose.envs.two_view_pose:TwoViewPoseDiscreteEnv",
+)
