@@ -1,8 +1,8 @@
 """The results file that every command writes for ``--json``: one flat list, one number each.
 
-``{"command", "versions", "seed", "records"}``; a record is ``{"metric", "value", "unit", ...tags}``.
-Reports, tables and checks read these files and nothing else, so a record that a reader could
-misread (a missing tag, a NaN, which JSON does not know) is refused when it is written.
+The document is ``{"command", "versions", "seed", "records"}``; a record is ``{"metric", "value",
+"unit", ...tags}``. Reports, tables and checks read these files and nothing else, so a record that a
+reader could misread (a missing tag, a NaN, which JSON does not know) is refused when it is written.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import math
 import os
 import platform
 import subprocess
-import tempfile
 from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import metadata
@@ -128,19 +127,15 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:
     """Writes bytes to a temporary file beside ``path``, then renames it over ``path``."""
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:
-        with os.fdopen(handle, "wb") as stream:
+        with temporary.open("wb") as stream:
             stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, target)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def read_results(path: str | os.PathLike[str]) -> dict[str, Any]:
