@@ -1,0 +1,81 @@
+"""The one small door between the environment and whatever estimates the pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Protocol, runtime_checkable
+
+from ..pose_estimator.estimate import PoseEstimate
+from ..pose_estimator.geometry import View
+
+
+@runtime_checkable
+class PoseEstimator(Protocol):
+    """Anything that answers where an object is, given one or two views of it.
+
+    A caller's own estimator needs ``estimate`` only. If it also has ``object_names``, the
+    environment refuses objects that are not among them.
+    """
+
+    def estimate(self, views: Sequence[View], object_name: str) -> PoseEstimate:
+        """Estimates the object's pose in the first (reference) camera.
+
+        Args:
+            views: the reference view, then the second view if there is one. Their ``T_cam_world``
+                share one world frame; nothing else is known about it.
+            object_name: the object to look for.
+
+        Returns:
+            A pose, always: a poor one rather than none.
+        """
+        ...
+
+
+@cache
+def _load(method: str) -> PoseEstimator:
+    """Loads shipped weights once a process, for all its environments."""
+    from .. import pose_estimator  # imports torch: only now
+
+    return pose_estimator.load(method)
+
+
+def resolve_estimator(estimator: str | PoseEstimator | None) -> PoseEstimator | None:
+    """Turns the environment's ``estimator`` argument into an estimator.
+
+    Args:
+        estimator: the name of a method whose shipped weights are loaded (``"mid"``,
+            ``"single"``), an object with an ``estimate`` method, or None for rendering only.
+
+    Raises:
+        ValueError: if it is none of these.
+    """
+    if estimator is None:
+        return None
+    if isinstance(estimator, str):
+        return _load(estimator)
+    if not callable(getattr(estimator, "estimate", None)):
+        raise ValueError(
+            "estimator must be the name of a method, an object with "
+            f"estimate(views, object_name), or None; got {estimator!r}"
+        )
+    return estimator
+
+
+def check_known_objects(estimator: PoseEstimator | None, object_names: Sequence[str]) -> None:
+    """Refuses objects for which the estimator has not been trained.
+
+    Raises:
+        ValueError: naming the unknown objects, the known ones and the training command.
+    """
+    known = getattr(estimator, "object_names", None)
+    if known is None:
+        return
+    unknown = [name for name in object_names if name not in known]
+    if unknown:
+        raise ValueError(
+            f"the estimator does not know the object(s) {', '.join(unknown)}; it was trained on "
+            f"{', '.join(known)}. Train one that does with `python -m two_view_pose "
+            f"train-estimator --objects {' '.join(object_names)}`, or pass estimator=None to "
+            "render without estimating, or pass your own estimator"
+        )
