@@ -226,11 +226,14 @@ def _smooth_min(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
     return smallest - np.maximum(width - np.abs(a - b), 0.0) ** 2 / (4 * width)
 
 
-def painted(base: Vector, *layers: tuple[Sdf, Vector]) -> Colour:
-    """A colour, painted over inside each region in turn: (region, RGB) pairs, the last on top."""
+def painted(base: Vector | Colour, *layers: tuple[Sdf, Vector]) -> Colour:
+    """A ground painted over inside each region in turn: (region, RGB) pairs, the last on top."""
 
     def colour(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        rgb = np.tile(np.asarray(base, dtype=float), (len(points), 1))
+        if callable(base):
+            rgb = np.array(base(points, normals), dtype=float)
+        else:
+            rgb = np.tile(np.asarray(base, dtype=float), (len(points), 1))
         for region, paint in layers:
             rgb[region(points) < 0] = paint
         return rgb
@@ -358,20 +361,26 @@ def _level_set(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
             f"bounds {bounds.tolist()} cut the solid, which reaches from "
             f"{box_low.tolist()} to {box_high.tolist()}"
         )
-    pieces = len(surface.decompose())
-    if pieces != 1:
-        raise ValueError(f"a solid must be in one piece without cavities, this one has {pieces}")
-    mesh = surface.to_mesh64()
+    # Cavities are pieces too, of negative volume; nobody sees them.
+    pieces = [piece for piece in surface.decompose() if piece.volume() > 0]
+    if len(pieces) != 1:
+        boxes = [np.round(piece.bounding_box(), 3).tolist() for piece in pieces]
+        raise ValueError(f"a solid must be in one piece, this one has {len(pieces)}, at {boxes}")
+    mesh = pieces[0].to_mesh64()
     vertices = np.array(mesh.vert_properties[:, :3], dtype=float, order="C")
     return vertices, np.array(mesh.tri_verts, dtype=np.int64, order="C")
 
 
 def _decimate(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Quadric edge collapse to about ``count`` faces, the surface staying closed."""
-    for aggression in (3.0, 1.0, 5.0, 7.0):
-        slim = fast_simplification.simplify(vertices, faces, target_count=count, agg=aggression)
-        mesh = trimesh.Trimesh(*slim)
-        if mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1:
+    scale = float(np.ptp(vertices, axis=0).max())  # the collapse's thresholds are lengths
+    for aggression in (3.0, 5.0, 7.0):
+        slim, triangles = fast_simplification.simplify(
+            vertices / scale, faces, target_count=count, agg=aggression
+        )
+        mesh = trimesh.Trimesh(slim * scale, triangles)
+        closed = mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1
+        if closed and len(mesh.faces) <= 1.2 * count:
             return np.asarray(mesh.vertices), np.asarray(mesh.faces)
     raise ValueError(f"the surface tears when reduced from {len(faces)} to {count} faces")
 
