@@ -1,217 +1,39 @@
-"""The verb ``estimate``: the pose of an object in a user's own photographs."""
+"""What every estimator answers."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
-from pathlib import Path
-from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
-
-from .geometry import LINEMOD_K, View, check_intrinsics, check_rigid
-from .results import write_atomically, write_results
-
-if TYPE_CHECKING:
-    from . import PoseEstimate
 
 
-@dataclass(frozen=True)
-class EstimateConfig:
-    """The pose of a known object from two photographs (or one) taken by a calibrated camera.
+@dataclass(frozen=True, eq=False)
+class Roi:
+    """A square region of one full frame in which the object was found.
 
-    The pose is that of the object in the camera of the reference photograph: OpenCV axes (x right,
-    y down, z forward), metres.
+    Attributes:
+        centre: pixels, (2,).
+        side: pixels.
+        score: how sure the detector was, 0 to 1.
     """
 
-    reference: Path
-    """The first photograph."""
-    object: str
-    """Name of the object, as the weights know it."""
-    K: str
-    """Camera matrix of both photographs in pixels: fx,fy,cx,cy or a file (.json, .txt, .npy) with
-    the 3x3 matrix, or `linemod` for LineMOD's camera."""
-    second: Path | None = None
-    """The second photograph; without it the answer is that of one view."""
-    relative_pose: Path | None = None
-    """File (.json, .txt, .npy) with the 4x4 matrix T_second_reference in metres: it maps points in
-    the reference camera's frame to the second camera's frame."""
-    method: str = "mid"
-    """Estimator: `mid` (two views) or `single`."""
-    weights: str = "linemod"
-    """Name of shipped weights, or a file."""
-    out: Path = Path("pose.json")
-    """Where the pose goes."""
-    overlay: Path | None = Path("overlay.png")
-    """Where the photographs with the model's outline go."""
-    json: Path | None = None
-    """Results file with the scores and the time taken."""
+    centre: np.ndarray
+    side: float
+    score: float
 
 
-def read_image(path: Path) -> np.ndarray:
-    """Reads a picture file as RGB uint8, (H, W, 3).
+@dataclass(frozen=True, eq=False)
+class PoseEstimate:
+    """An object's pose, with how sure the estimator is of it.
 
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if it is not a picture.
+    Attributes:
+        T_cam_obj: the object in the reference camera, (4, 4) float64, metres.
+        keypoints: the object's nine keypoints in the reference camera, (9, 3), metres.
+        keypoint_covariance: their covariances, (9, 3, 3), square metres.
+        rois: where the object was found, one region for each view, the reference first.
     """
-    try:
-        with Image.open(path) as picture:
-            return np.asarray(picture.convert("RGB"))
-    except UnidentifiedImageError as error:
-        raise ValueError(f"image {path} is not a picture file (PNG, JPEG, ...)") from error
 
-
-def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray:
-    """Reads a matrix from .json (nested lists, or an object that holds one), .txt or .npy.
-
-    Args:
-        path: the file.
-        name: what to call it in errors.
-        keys: the keys under which a JSON object may hold it.
-
-    Returns:
-        float64; nine or sixteen numbers in a row become 3x3 or 4x4.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if it holds no matrix of numbers.
-    """
-    try:
-        if path.suffix == ".npy":
-            values: Any = np.load(path, allow_pickle=False)
-        elif path.suffix == ".json":
-            values = json.loads(path.read_text(encoding="utf-8"))
-            if isinstance(values, dict):
-                found = [key for key in keys if key in values]
-                if not found:
-                    raise ValueError(f"has none of the keys {', '.join(keys)}")
-                values = values[found[0]]
-        else:
-            values = np.loadtxt(path, delimiter="," if "," in path.read_text() else None)
-        matrix = np.asarray(values, dtype=np.float64)
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{name}: {path} holds no matrix of numbers ({error})") from error
-    if matrix.size in (9, 16) and matrix.ndim == 1:
-        matrix = matrix.reshape(round(matrix.size**0.5), -1)
-    return matrix
-
-
-def parse_intrinsics(text: str) -> np.ndarray:
-    """The camera matrix (3, 3) that ``--K`` stands for.
-
-    Raises:
-        ValueError: if it stands for none.
-        FileNotFoundError: if it names a file that does not exist.
-    """
-    if text == "linemod":
-        return np.array(LINEMOD_K)
-    parts = text.split(",")
-    if len(parts) == 4:
-        try:
-            fx, fy, cx, cy = map(float, parts)
-        except ValueError as error:
-            raise ValueError(f"K must be four numbers fx,fy,cx,cy, got {text!r}") from error
-        return check_intrinsics(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]))
-    path = Path(text)
-    if not path.exists():
-        raise FileNotFoundError(
-            f"K must be fx,fy,cx,cy, 'linemod' or a file with a 3x3 matrix; "
-            f"{text!r} is neither and no such file exists"
-        )
-    return check_intrinsics(read_matrix(path, "K", ("K", "cam_K")))
-
-
-def read_views(config: EstimateConfig) -> list[View]:
-    """The photographs with their cameras; the world is the reference camera's frame.
-
-    Raises:
-        FileNotFoundError: if a file is missing.
-        ValueError: if an input is malformed or the inputs disagree.
-    """
-    if (config.second is None) != (config.relative_pose is None):
-        raise ValueError("second and relative_pose go together: give both, or neither for one view")
-    K = parse_intrinsics(config.K)
-    views = [View(read_image(config.reference), K, np.eye(4))]
-    if config.second is not None and config.relative_pose is not None:
-        image = read_image(config.second)
-        if image.shape != views[0].image.shape:
-            sizes = [f"{a.shape[1]}x{a.shape[0]}" for a in (views[0].image, image)]
-            raise ValueError(
-                "reference and second must be of one size, since K holds for both: "
-                f"reference is {sizes[0]}, second is {sizes[1]}"
-            )
-        T = read_matrix(config.relative_pose, "relative_pose", ("T_second_reference",))
-        views.append(View(image, K, check_rigid(T, "relative_pose")))
-    height, width = views[0].image.shape[:2]
-    if not (0 <= K[0, 2] < width and 0 <= K[1, 2] < height):
-        raise ValueError(
-            f"K has its principal point at ({K[0, 2]:g}, {K[1, 2]:g}), outside the {width}x{height}"
-            " photographs; was it made for another size?"
-        )
-    return views
-
-
-def describe(answer: PoseEstimate, config: EstimateConfig) -> dict[str, Any]:
-    """What ``--out`` holds, in plain values."""
-    deviation = np.sqrt(np.trace(answer.keypoint_covariance, axis1=1, axis2=2))
-    return {
-        "object": config.object,
-        "method": config.method,
-        "T_cam_obj": answer.T_cam_obj.tolist(),
-        "keypoints_m": answer.keypoints.tolist(),
-        "keypoint_deviation_m": deviation.tolist(),
-        "regions": [
-            {"centre": [float(x) for x in roi.centre], "side": float(roi.side), "score": roi.score}
-            for roi in answer.rois
-        ],
-    }
-
-
-def estimate_files(config: EstimateConfig) -> None:
-    """Estimates, prints and writes the pose, and draws it over the photographs.
-
-    Raises:
-        FileNotFoundError: if a file is missing.
-        ValueError: if an input is wrong; the message names it.
-    """
-    views = read_views(config)
-    # After the inputs are known to be good: this imports torch.
-    from ..assets import load_object
-    from . import load
-    from .overlay import draw_outline
-
-    estimator = load(config.method, config.weights)
-    started = perf_counter()
-    answer = estimator.estimate(views, config.object)
-    seconds = perf_counter() - started
-
-    found = describe(answer, config)
-    found["T_cam_obj"] = [[round(x, 9) for x in row] for row in found["T_cam_obj"]]
-    write_atomically(config.out, (json.dumps(found, indent=1) + "\n").encode())
-    x, y, z = answer.T_cam_obj[:3, 3]
-    print(f"{config.object} at x {x:+.4f}, y {y:+.4f}, z {z:+.4f} m in the reference camera")
-    print(f"keypoints uncertain by {1e3 * np.mean(found['keypoint_deviation_m']):.1f} mm on average")
-    print(f"pose: {config.out}")
-    if config.overlay is not None:
-        model = load_object(config.object)
-        pictures = [
-            draw_outline(view.image, model, view.T_cam_world @ answer.T_cam_obj, view.K)
-            for view in views
-        ]
-        config.overlay.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.hstack(pictures)).save(config.overlay)
-        print(f"overlay: {config.overlay}")
-    if config.json is not None:
-        tags = {"object": config.object, "method": config.method}
-        records: list[dict[str, Any]] = [
-            {"metric": "seconds_per_pair", "value": seconds, "unit": "s", **tags},
-            *(
-                {"metric": "detection_score", "value": roi.score, "unit": "1", "view": i, **tags}
-                for i, roi in enumerate(answer.rois)
-            ),
-        ]
-        command = f"estimate --object {config.object} --method {config.method}"
-        write_results(config.json, records, command=command, seed=None)
+    T_cam_obj: np.ndarray
+    keypoints: np.ndarray
+    keypoint_covariance: np.ndarray
+    rois: list[Roi] = field(default_factory=list)

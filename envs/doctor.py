@@ -1,0 +1,178 @@
+"""The verb ``doctor``: what works on this machine, and what to install where something does not."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from ..pose_estimator.results import versions, write_results
+
+OPENGL_PACKAGES = "libegl1 libopengl0 libgl1-mesa-dri"
+"""Debian's and Ubuntu's packages for rendering off screen through EGL on any processor."""
+
+_RENDER_ONE_FRAME = """
+import mujoco
+model = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><light pos='0 0 2'/><geom size='.1'/>"
+    "<camera name='eye' pos='0 -1 0' xyaxes='1 0 0 0 0 1'/></worldbody></mujoco>")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+with mujoco.Renderer(model, 32, 32) as renderer:
+    renderer.update_scene(data, "eye")
+    if renderer.render().std() < 1:
+        raise SystemExit("the frame is empty")
+"""
+
+
+@dataclass(frozen=True)
+class DoctorConfig:
+    """Checks this installation; exits with 1 if something that is needed does not work."""
+
+    quick: bool = False
+    """Only look whether anything renders."""
+    json: Path | None = None
+    """Results file with one record a check: 1 works, 0 does not."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """The outcome of one check.
+
+    Attributes:
+        name: what was checked.
+        works: whether it works; None if it is only worth knowing.
+        text: what was found, or what to do.
+    """
+
+    name: str
+    works: bool | None
+    text: str
+
+
+def rendering_error(backend: str | None) -> str | None:
+    """Renders one small frame in a process of its own, since a broken driver may end it.
+
+    Args:
+        backend: a value of ``MUJOCO_GL``; None for MuJoCo's own choice.
+
+    Returns:
+        None if the frame arrived, else why it did not, in one line.
+    """
+    environment = dict(os.environ)
+    if backend is not None:
+        environment["MUJOCO_GL"] = backend
+        environment.pop("PYOPENGL_PLATFORM", None)
+    try:
+        process = subprocess.run(
+            [sys.executable, "-c", _RENDER_ONE_FRAME],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+    except subprocess.TimeoutExpired:
+        return "no frame within 120 s"
+    if process.returncode == 0:
+        return None
+    lines = [line for line in process.stderr.splitlines() if line.strip()]
+    return lines[-1].strip() if lines else f"ended with code {process.returncode}"
+
+
+def check_opengl() -> Check:
+    """Which back-end renders: the one in ``MUJOCO_GL``, else EGL, else OSMesa."""
+    asked = os.environ.get("MUJOCO_GL")
+    backends: list[str | None] = [asked]
+    if not asked:
+        backends = ["egl", "osmesa"] if sys.platform == "linux" else [None]
+    failures = []
+    for backend in backends:
+        name = backend or "MuJoCo's default"
+        error = rendering_error(backend)
+        if error is None:
+            return Check("OpenGL", True, f"{name} renders")
+        failures.append(f"{name}: {error}")
+    remedy = f"sudo apt-get install {OPENGL_PACKAGES}"
+    if asked:
+        remedy = f"unset MUJOCO_GL (it is {asked!r}), or {remedy}"
+    return Check("OpenGL", False, f"{remedy}   ({'; '.join(failures)})")
+
+
+def check_machine() -> Iterator[Check]:
+    """Python, processor and versions."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    found = versions()
+    yield Check("machine", None, f"{platform.system()} {platform.machine()}, {cores} cores")
+    yield Check("Python", sys.version_info >= (3, 11), found["python"])
+    packages = [f"{name} {version}" for name, version in found.items() if name != "python"]
+    yield Check("packages", None, ", ".join(packages))
+
+
+def check_objects() -> Check:
+    """Whether every shipped object loads."""
+    from ..assets import OBJECT_NAMES, load_object
+
+    try:
+        faces = sum(len(load_object(name).faces) for name in OBJECT_NAMES)
+    except (ValueError, OSError) as error:
+        return Check("objects", False, str(error))
+    return Check("objects", True, f"{len(OBJECT_NAMES)} objects, {faces} faces")
+
+
+def check_estimator(method: str) -> Check:
+    """Whether the shipped weights load and give a finite pose, and how long one takes."""
+    from ..pose_estimator import load
+    from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K, View
+
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 255, (*LINEMOD_IMAGE_SIZE, 3), dtype=np.uint8)
+    aside = np.eye(4)
+    aside[0, 3] = -0.1
+    views = [View(image, LINEMOD_K, pose) for pose in (np.eye(4), aside)]
+    try:
+        estimator = load(method)
+        name = estimator.object_names[0]
+        estimator.estimate(views, name)
+        started = perf_counter()
+        answer = estimator.estimate(views, name)
+        milliseconds = 1e3 * (perf_counter() - started)
+    except (ValueError, OSError) as error:
+        return Check(f"estimator {method}", False, str(error))
+    works = bool(np.isfinite(answer.T_cam_obj).all())
+    text = f"{len(estimator.object_names)} objects, {milliseconds:.0f} ms a pair"
+    return Check(f"estimator {method}", works, text if works else "the pose is not finite")
+
+
+def checks(quick: bool) -> Iterator[Check]:
+    """All checks, in the order in which they are worth reading."""
+    if not quick:
+        yield from check_machine()
+    yield check_opengl()
+    if not quick:
+        yield check_objects()
+        yield check_estimator("single")
+        yield check_estimator("mid")
+
+
+def doctor(config: DoctorConfig) -> int:
+    """Prints every check; returns 0, or 1 if something that is needed does not work."""
+    done = []
+    for check in checks(config.quick):
+        mark = {True: "ok", False: "FAILS", None: ""}[check.works]
+        print(f"{mark:>5}  {check.name}: {check.text}", flush=True)
+        done.append(check)
+    if config.json is not None:
+        records = [
+            {"metric": "works", "value": int(check.works), "unit": "1", "check": check.name}
+            for check in done
+            if check.works is not None
+        ]
+        write_results(config.json, records, command="doctor", seed=None)
+    return int(any(check.works is False for check in done))
