@@ -1,7 +1,8 @@
 """One command line: ``python -m two_view_pose VERB [OPTIONS]``.
 
-Each verb is a module with one config dataclass, whose fields tyro turns into options, and one
-function that takes it. Only the module of the chosen verb is imported, so that help is quick.
+Each verb has one config dataclass, whose fields tyro turns into options, and one function that
+takes it. Only the chosen verb's modules are imported, the function's after the options have been
+read, so that help is quick.
 """
 
 from __future__ import annotations
@@ -10,23 +11,23 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from .envs.gl import GraphicsUnavailable
 
 PROGRAM = "two_view_pose"
 
 
 class Verb(NamedTuple):
-    """Where a verb lives.
+    """Where a verb lives, as ``module:name`` below this package.
 
     Attributes:
-        module: module below this package that holds config and function.
-        config: name of its config dataclass.
-        function: name of the function that takes the config; what it returns, if an integer, is
-            the exit code.
+        config: its config dataclass; what it parses costs no more than importing that module.
+        function: the function that takes the config; what it returns, if an integer, is the exit
+            code.
         summary: one line for the list of verbs.
     """
 
-    module: str
     config: str
     function: str
     summary: str
@@ -34,51 +35,43 @@ class Verb(NamedTuple):
 
 VERBS = {
     "demo": Verb(
-        "agents.demo",
-        "DemoConfig",
-        "demo",
+        "agents.demo:DemoConfig",
+        "agents.demo:demo",
         "one scene, two views, the pose before and after; writes a picture",
     ),
     "generate": Verb(
-        "envs.generate",
-        "GenerateConfig",
-        "generate",
+        "envs.generate:GenerateConfig",
+        "envs.generate:generate",
         "renders paired training or test data and writes it in BOP format",
     ),
     "train-estimator": Verb(
-        "pose_estimator.training",
-        "TrainEstimatorConfig",
-        "train_estimator",
+        "pose_estimator.training:TrainEstimatorConfig",
+        "pose_estimator.training:train_estimator",
         "trains the pose estimator on generated data",
     ),
     "evaluate": Verb(
-        "pose_estimator.evaluate",
-        "EvaluateConfig",
-        "evaluate",
+        "pose_estimator.evaluate:EvaluateConfig",
+        "pose_estimator.evaluate:evaluate",
         "ADD(-S) of an estimator on our scenes or on a BOP data set",
     ),
     "estimate": Verb(
-        "pose_estimator.estimate_command",
-        "EstimateConfig",
-        "estimate_files",
+        "pose_estimator.estimate_command:EstimateConfig",
+        "pose_estimator.estimate_command:estimate_files",
         "the pose of an object in your own two photographs",
     ),
     "train-agent": Verb(
-        "agents.train",
-        "TrainAgentConfig",
-        "train_agent",
+        "agents.config:TrainAgentConfig",
+        "agents.train:train_agent",
         "trains a policy that chooses the second view",
     ),
     "evaluate-agent": Verb(
-        "agents.evaluate",
-        "EvaluateAgentConfig",
-        "evaluate_agents",
+        "agents.config:EvaluateAgentConfig",
+        "agents.evaluate:evaluate_agents",
         "compares policies on the same scenes",
     ),
     "doctor": Verb(
-        "envs.doctor",
-        "DoctorConfig",
-        "doctor",
+        "envs.doctor:DoctorConfig",
+        "envs.doctor:doctor",
         "says what works on this machine and what to install",
     ),
 }
@@ -109,6 +102,12 @@ def message(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
+def find(place: str) -> Any:
+    """What stands at ``module:name`` below this package."""
+    module, name = place.split(":")
+    return getattr(import_module(f".{module}", __package__), name)
+
+
 def run(arguments: Sequence[str]) -> int:
     """Runs one verb with its options and returns the exit code.
 
@@ -119,9 +118,8 @@ def run(arguments: Sequence[str]) -> int:
 
     name, *options = arguments
     verb = VERBS[name]
-    module = import_module(f".{verb.module}", __package__)
-    config = tyro.cli(getattr(module, verb.config), prog=f"{PROGRAM} {name}", args=options)
-    code = getattr(module, verb.function)(config)
+    config = tyro.cli(find(verb.config), prog=f"{PROGRAM} {name}", args=options)
+    code = find(verb.function)(config)
     return code if isinstance(code, int) else 0
 
 
@@ -145,7 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     try:
         return run(given)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, GraphicsUnavailable) as error:
         if debug:
             raise
         print(f"error: {message(error)}", file=sys.stderr)

@@ -14,21 +14,31 @@ from time import perf_counter
 import numpy as np
 
 from ..pose_estimator.results import versions, write_results
-
-OPENGL_PACKAGES = "libegl1 libopengl0 libgl1-mesa-dri"
-"""Debian's and Ubuntu's packages for rendering off screen through EGL on any processor."""
+from .gl import INSTALL_HINT
 
 _RENDER_ONE_FRAME = """
-import mujoco
+import mujoco, numpy
+from two_view_pose.envs import gl
+context = gl.open_context(32, 32)
 model = mujoco.MjModel.from_xml_string(
     "<mujoco><worldbody><light pos='0 0 2'/><geom size='.1'/>"
-    "<camera name='eye' pos='0 -1 0' xyaxes='1 0 0 0 0 1'/></worldbody></mujoco>")
+    "<camera pos='0 -1 0' xyaxes='1 0 0 0 0 1'/></worldbody></mujoco>")
 data = mujoco.MjData(model)
 mujoco.mj_forward(model, data)
-with mujoco.Renderer(model, 32, 32) as renderer:
-    renderer.update_scene(data, "eye")
-    if renderer.render().std() < 1:
-        raise SystemExit("the frame is empty")
+scene = mujoco.MjvScene(model, 10)
+camera = mujoco.MjvCamera()
+camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
+everything = mujoco.mjtCatBit.mjCAT_ALL
+mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, everything, scene)
+drawing = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, drawing)
+area = mujoco.MjrRect(0, 0, 32, 32)
+mujoco.mjr_render(area, scene, drawing)
+frame = numpy.zeros((32, 32, 3), numpy.uint8)
+mujoco.mjr_readPixels(frame, None, area, drawing)
+if frame.std() < 1:
+    raise SystemExit(f"{gl.backend()} opens, but its frame is empty")
+print(gl.backend())
 """
 
 
@@ -57,52 +67,19 @@ class Check:
     text: str
 
 
-def rendering_error(backend: str | None) -> str | None:
-    """Renders one small frame in a process of its own, since a broken driver may end it.
-
-    Args:
-        backend: a value of ``MUJOCO_GL``; None for MuJoCo's own choice.
-
-    Returns:
-        None if the frame arrived, else why it did not, in one line.
-    """
-    environment = dict(os.environ)
-    if backend is not None:
-        environment["MUJOCO_GL"] = backend
-        environment.pop("PYOPENGL_PLATFORM", None)
+def check_opengl() -> Check:
+    """Renders one small frame in a process of its own, since a broken driver may end it."""
     try:
         process = subprocess.run(
-            [sys.executable, "-c", _RENDER_ONE_FRAME],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=120,
+            [sys.executable, "-c", _RENDER_ONE_FRAME], capture_output=True, text=True, timeout=120
         )
     except subprocess.TimeoutExpired:
-        return "no frame within 120 s"
+        return Check("OpenGL", False, "no frame within 120 s")
     if process.returncode == 0:
-        return None
+        return Check("OpenGL", True, f"{process.stdout.strip()} renders")
     lines = [line for line in process.stderr.splitlines() if line.strip()]
-    return lines[-1].strip() if lines else f"ended with code {process.returncode}"
-
-
-def check_opengl() -> Check:
-    """Which back-end renders: the one in ``MUJOCO_GL``, else EGL, else OSMesa."""
-    asked = os.environ.get("MUJOCO_GL")
-    backends: list[str | None] = [asked]
-    if not asked:
-        backends = ["egl", "osmesa"] if sys.platform == "linux" else [None]
-    failures = []
-    for backend in backends:
-        name = backend or "MuJoCo's default"
-        error = rendering_error(backend)
-        if error is None:
-            return Check("OpenGL", True, f"{name} renders")
-        failures.append(f"{name}: {error}")
-    remedy = f"sudo apt-get install {OPENGL_PACKAGES}"
-    if asked:
-        remedy = f"unset MUJOCO_GL (it is {asked!r}), or {remedy}"
-    return Check("OpenGL", False, f"{remedy}   ({'; '.join(failures)})")
+    reason = lines[-1].strip() if lines else f"the renderer ended with code {process.returncode}"
+    return Check("OpenGL", False, f"{reason}. To install it: {INSTALL_HINT}")
 
 
 def check_machine() -> Iterator[Check]:

@@ -181,7 +181,7 @@ def estimate_files(config: EstimateConfig) -> None:
     # After the inputs are known to be good: this imports torch.
     from ..assets import load_object
     from . import load
-    from .overlay import draw_outline
+    from .overlay import ESTIMATE_COLOUR, draw_poses
 
     estimator = load(config.method, config.weights)
     started = perf_counter()
@@ -200,7 +200,9 @@ def estimate_files(config: EstimateConfig) -> None:
     if config.overlay is not None:
         model = load_object(config.object)
         pictures = [
-            draw_outline(view.image, model, view.T_cam_world @ answer.T_cam_obj, view.K)
+            draw_poses(
+                view.image, model, {ESTIMATE_COLOUR: view.T_cam_world @ answer.T_cam_obj}, view.K
+            )
             for view in views
         ]
         config.overlay.parent.mkdir(parents=True, exist_ok=True)

@@ -1,69 +1,130 @@
-"""Draws a model's outline over a picture, the way a person checks a pose."""
+"""Draws a posed object into a picture: its silhouette, its outline, an enlarged detail."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
 
 from ..assets.object_model import ObjectModel
-from .geometry import project, transform
+from .geometry import check_image, check_intrinsics, check_rigid, transform
 
-NEAREST = 0.01
-"""Faces with a vertex nearer to the camera than this, in metres, are not drawn."""
+TRUE_COLOUR = (57, 190, 88)
+ESTIMATE_COLOUR = (255, 122, 26)
 
-_SUBPIXEL_BITS = 4
+_NEAR = 0.01  # metres; nearer faces are left out of a silhouette
+_SHIFT = 4  # cv2's fixed point: 1/16 of a pixel
+_LIMIT = 2**20 / 2**_SHIFT  # pixels; what lies further out is of no interest
 
 
 def silhouette(
-    model: ObjectModel, T_cam_obj: np.ndarray, K: np.ndarray, size: tuple[int, int]
+    model: ObjectModel, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
 ) -> np.ndarray:
-    """The pixels that a model covers, seen from a camera.
+    """Which pixels the object alone would cover.
 
     Args:
         model: the object.
-        T_cam_obj: its pose in the OpenCV camera frame, (4, 4), metres.
-        K: camera matrix, (3, 3).
-        size: height and width of the picture in pixels.
+        T_cam_obj: object to OpenCV camera, (4, 4), metres.
+        K: camera matrix, (3, 3), pixels.
+        shape: height and width of the picture.
 
     Returns:
-        uint8 (H, W), 255 where a pixel is covered and 0 elsewhere.
+        Mask (height, width), uint8, 255 inside; empty where the object is behind the camera.
+
+    Raises:
+        ValueError: if the pose is not rigid or K is no camera matrix.
     """
-    mask = np.zeros(size, dtype=np.uint8)
-    vertices = transform(np.asarray(T_cam_obj, dtype=np.float64), model.vertices)
-    triangles = vertices[model.faces]
-    triangles = triangles[(triangles[..., 2] > NEAREST).all(axis=1)]
-    pixels = project(triangles, np.asarray(K, dtype=np.float64))
-    # Far outside, fixed-point coordinates would overflow.
-    pixels = pixels[(np.abs(pixels) < 10 * max(size)).all(axis=(1, 2))]
-    fixed = np.round(pixels * (1 << _SUBPIXEL_BITS)).astype(np.int32)
-    for triangle in fixed:
-        cv2.fillConvexPoly(mask, triangle, 255, shift=_SUBPIXEL_BITS)
+    K = check_intrinsics(K)
+    vertices = transform(check_rigid(T_cam_obj, "T_cam_obj"), model.vertices)
+    mask = np.zeros(shape, dtype=np.uint8)
+    in_front = (vertices[:, 2] > _NEAR)[model.faces].all(axis=1)
+    uvw = vertices @ K.T
+    pixels = np.clip(uvw[:, :2] / np.maximum(uvw[:, 2:], _NEAR), -_LIMIT, _LIMIT)
+    triangles = pixels[model.faces[in_front]]
+    for triangle in np.round(triangles * 2**_SHIFT).astype(np.int32):
+        cv2.fillConvexPoly(mask, triangle, 255, cv2.LINE_8, _SHIFT)
     return mask
+
+
+def outline(
+    model: ObjectModel, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
+) -> list[np.ndarray]:
+    """The contours of the object's silhouette, holes included.
+
+    Args:
+        model: the object.
+        T_cam_obj: object to OpenCV camera, (4, 4), metres.
+        K: camera matrix, (3, 3), pixels.
+        shape: height and width of the picture.
+
+    Returns:
+        Closed contours, each (N, 2) float64 pixels; none if the object is out of the picture.
+
+    Raises:
+        ValueError: if the pose is not rigid or K is no camera matrix.
+    """
+    # Contours run along pixel centres: rasterise finer, with a margin that the frame cuts off.
+    scale, margin = 3, 4
+    lift = np.array(
+        [
+            [scale, 0.0, scale * margin + (scale - 1) / 2],
+            [0.0, scale, scale * margin + (scale - 1) / 2],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    fine_shape = (scale * (shape[0] + 2 * margin), scale * (shape[1] + 2 * margin))
+    mask = silhouette(model, T_cam_obj, lift @ check_intrinsics(K), fine_shape)
+    contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    return [
+        (contour.reshape(-1, 2) - lift[:2, 2]) / scale for contour in contours if len(contour) > 8
+    ]
 
 
 def draw_outline(
     image: np.ndarray,
-    model: ObjectModel,
-    T_cam_obj: np.ndarray,
-    K: np.ndarray,
-    colour: tuple[int, int, int] = (0, 255, 0),
+    contours: Sequence[np.ndarray],
+    colour: tuple[int, int, int],
     thickness: int = 2,
 ) -> np.ndarray:
-    """A copy of ``image`` with the outline of the model at a pose.
+    """A copy of the picture with closed, anti-aliased contours on it.
+
+    Args:
+        image: RGB uint8, (H, W, 3).
+        contours: from ``outline``, each (N, 2) pixels.
+        colour: RGB, 0 to 255.
+        thickness: pixels.
+
+    Raises:
+        ValueError: if the image is not uint8 RGB.
+    """
+    canvas = np.ascontiguousarray(check_image(image)).copy()
+    polygons = [np.round(contour * 2**_SHIFT).astype(np.int32) for contour in contours]
+    if polygons:
+        cv2.polylines(canvas, polygons, True, colour, thickness, cv2.LINE_AA, _SHIFT)
+    return canvas
+
+
+def draw_poses(
+    image: np.ndarray,
+    model: ObjectModel,
+    poses: Mapping[tuple[int, int, int], np.ndarray],
+    K: np.ndarray,
+    thickness: int = 2,
+) -> np.ndarray:
+    """A copy of the picture with the object outlined in each pose.
 
     Args:
         image: RGB uint8, (H, W, 3).
         model: the object.
-        T_cam_obj: its pose in the OpenCV camera frame, (4, 4), metres.
-        K: camera matrix, (3, 3).
-        colour: RGB.
-        thickness: of the line, in pixels.
+        poses: T_cam_obj (4, 4) by the RGB colour to draw it in; later ones lie on top.
+        K: camera matrix of the picture, (3, 3).
+        thickness: of the lines in pixels.
 
-    Returns:
-        RGB uint8, (H, W, 3).
+    Raises:
+        ValueError: if the image is not uint8 RGB, a pose is not rigid or K is no camera matrix.
     """
-    mask = silhouette(model, T_cam_obj, K, image.shape[:2])
-    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    picture = np.ascontiguousarray(image).copy()
-    cv2.drawContours(picture, outlines, -1, colour, thickness, cv2.LINE_AA)
-    return picture
+    for colour, T_cam_obj in poses.items():
+        contours = outline(model, T_cam_obj, K, image.shape[:2])
+        image = draw_outline(image, contours, colour, thickness)
+    return image
