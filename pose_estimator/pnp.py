@@ -85,7 +85,7 @@ def uncertainty_pnp(
         candidates += _solve(problem, known, cv2.SOLVEPNP_SQPNP)
         costs += [problem.cost(*pose) for pose in candidates[len(costs) :]]
         if min(costs) > _MISFIT * known.sum():
-            candidates += _solve(problem, known, cv2.SOLVEPNP_EPNP) + _ransac(problem, known)
+            candidates += _ransac(problem, known)
             costs += [problem.cost(*pose) for pose in candidates[len(costs) :]]
     rotation, translation, cost, information = _refine(problem, *candidates[int(np.argmin(costs))])
     # Directions that the keypoints leave open are known to a radian and a metre.
@@ -268,7 +268,7 @@ def _ransac(problem: _Problem, known: np.ndarray) -> list[tuple[np.ndarray, np.n
             None,
             iterationsCount=50,
             reprojectionError=float(np.clip(2 * np.median(deviations), 1.0, 50.0)),
-            flags=cv2.SOLVEPNP_EPNP,
+            flags=cv2.SOLVEPNP_AP3P,
         )
     except cv2.error:
         return []
