@@ -1,0 +1,106 @@
+"""Objects: thirteen of our own with LineMOD's names and sizes, and anyone's meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+
+from .object_model import ObjectModel
+from .storage import read_object
+
+__all__ = ["OBJECT_NAMES", "ObjectModel", "load_object", "load_objects"]
+
+OBJECT_NAMES: tuple[str, ...] = (
+    "ape",
+    "benchvise",
+    "cam",
+    "can",
+    "cat",
+    "driller",
+    "duck",
+    "eggbox",
+    "glue",
+    "holepuncher",
+    "iron",
+    "lamp",
+    "phone",
+)
+"""The thirteen objects that ship, in LineMOD's order."""
+
+_FOLDER = Path(__file__).parent / "objects"
+
+
+def load_object(name_or_path: str | Path) -> ObjectModel:
+    """One object; the second call for the same one returns the same instance.
+
+    Args:
+        name_or_path: one of ``OBJECT_NAMES``, a mesh file (PLY, OBJ, STL, GLB) or the folder of a
+            built object (model.glb and object.json).
+
+    Raises:
+        ValueError: if it is neither a known name nor a path, or the file is not a usable mesh.
+        FileNotFoundError: if it is a path to nothing.
+    """
+    if str(name_or_path) in OBJECT_NAMES:
+        return _load_shipped(str(name_or_path))
+    path = Path(name_or_path)
+    if not path.exists() and not path.suffix and path.name == str(name_or_path):
+        raise ValueError(
+            f"unknown object {name_or_path!r}: it must be one of {', '.join(OBJECT_NAMES)}, "
+            "or the path of a mesh file (.ply, .obj, .stl, .glb)"
+        )
+    if (path / "object.json").is_file():
+        return read_object(path)
+    from .mesh_import import import_mesh
+
+    return import_mesh(path)
+
+
+def load_objects(
+    spec: str | Path | Iterable[str | Path] | None = None,
+) -> dict[str, ObjectModel]:
+    """Several objects by name.
+
+    Args:
+        spec: names and paths in any mix, one of them, a folder of meshes, or None for the thirteen.
+
+    Raises:
+        ValueError: if two objects have the same name, ``spec`` is empty, or as `load_object`.
+        FileNotFoundError: as `load_object`.
+    """
+    if spec is None:
+        spec = OBJECT_NAMES
+    items = [spec] if isinstance(spec, str | Path) else list(spec)
+    models: dict[str, ObjectModel] = {}
+    for item in items:
+        for part in _expand(item):
+            model = load_object(part)
+            if model.name in models:
+                raise ValueError(f"two objects are called {model.name!r}; rename a file")
+            models[model.name] = model
+    if not models:
+        raise ValueError("objects is empty: name at least one object or mesh file")
+    return models
+
+
+def _expand(item: str | Path) -> list[str | Path]:
+    """A folder of meshes becomes its files; anything else stays as it is."""
+    path = Path(item)
+    if str(item) in OBJECT_NAMES or not path.is_dir() or (path / "object.json").is_file():
+        return [item]
+    from .mesh_import import MESH_SUFFIXES
+
+    built = sorted(folder.parent for folder in path.glob("*/object.json"))
+    meshes = sorted(file for file in path.iterdir() if file.suffix.lower() in MESH_SUFFIXES)
+    if not built and not meshes:
+        raise ValueError(
+            f"{path} holds no mesh: expected files ending in {', '.join(MESH_SUFFIXES)}"
+        )
+    return [*built, *meshes]
+
+
+@cache
+def _load_shipped(name: str) -> ObjectModel:
+    """One of the thirteen, once for each process."""
+    return read_object(_FOLDER / name)

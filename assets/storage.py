@@ -1,0 +1,105 @@
+"""Objects as files: ``model.glb`` for every mesh viewer, ``object.json`` for exact numbers."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from PIL import Image
+
+from .object_model import ObjectModel
+
+FORMAT_VERSION = 1
+MESH_FILE = "model.glb"
+NUMBERS_FILE = "object.json"
+
+_ARRAYS = ("keypoints", "symmetries", "stable_poses", "points")
+_SCALARS = ("name", "obj_id", "diameter", "specular", "shininess")
+
+
+def save_object(model: ObjectModel, folder: str | Path) -> None:
+    """Writes an object so that the same object gives the same bytes.
+
+    The mesh is stored in the object's own frame, z up, in metres and single precision; the
+    texture is a PNG inside the GLB.
+
+    Args:
+        model: the object.
+        folder: made if it does not exist.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=Image.fromarray(model.texture),
+        metallicFactor=0.0,
+        roughnessFactor=float(np.clip(1.0 - model.shininess, 0.0, 1.0)),
+    )
+    mesh = trimesh.Trimesh(
+        model.vertices,
+        model.faces,
+        visual=trimesh.visual.TextureVisuals(uv=model.uv, material=material),
+        process=False,
+    )
+    scene = trimesh.Scene({model.name: mesh})
+    _write(folder / MESH_FILE, trimesh.exchange.gltf.export_glb(scene))
+    numbers: dict[str, object] = {"format": FORMAT_VERSION}
+    numbers |= {key: getattr(model, key) for key in _SCALARS}
+    numbers["made_with"] = {name: version(name) for name in ("numpy", "trimesh", "xatlas")}
+    numbers |= {key: getattr(model, key).tolist() for key in _ARRAYS}
+    text = ",\n".join(f" {json.dumps(key)}: {json.dumps(value)}" for key, value in numbers.items())
+    _write(folder / NUMBERS_FILE, f"{{\n{text}\n}}\n".encode())
+
+
+def read_object(folder: str | Path) -> ObjectModel:
+    """Reads what ``save_object`` wrote.
+
+    Raises:
+        FileNotFoundError: if one of the two files is missing.
+        ValueError: if a file is damaged or of an unknown format.
+    """
+    folder = Path(folder)
+    for name in (MESH_FILE, NUMBERS_FILE):
+        if not (folder / name).is_file():
+            raise FileNotFoundError(f"{folder} is not a built object: {name} is missing")
+    try:
+        numbers = json.loads((folder / NUMBERS_FILE).read_text())
+        if numbers["format"] != FORMAT_VERSION:
+            raise ValueError(f"format is {numbers['format']}, this version reads {FORMAT_VERSION}")
+        vertices, faces, uv, texture = _read_glb(folder / MESH_FILE)
+        return ObjectModel(
+            vertices=vertices,
+            faces=faces,
+            uv=uv,
+            texture=texture,
+            **{key: numbers[key] for key in _SCALARS},
+            **{key: np.asarray(numbers[key], dtype=np.float64) for key in _ARRAYS},
+        )
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"the object in {folder} cannot be read: {error}") from error
+
+
+def _read_glb(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, faces, uv and texture of the one mesh in a GLB file."""
+    with path.open("rb") as file:
+        tree = trimesh.exchange.gltf.load_glb(io.BytesIO(file.read()))
+    (geometry,) = tree["geometry"].values()
+    mesh = trimesh.Trimesh(**geometry, process=False)
+    picture = mesh.visual.material.baseColorTexture.convert("RGB")
+    return (
+        np.asarray(mesh.vertices, dtype=np.float64),
+        np.asarray(mesh.faces, dtype=np.int32),
+        np.asarray(mesh.visual.uv, dtype=np.float32),
+        np.array(picture),
+    )
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Writes under a temporary name and renames, so that no reader meets half a file."""
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    temporary.write_bytes(data)
+    temporary.replace(path)

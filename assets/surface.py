@@ -1,0 +1,137 @@
+"""What pose estimation asks of a surface: keypoints, even points, diameter, resting poses."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from scipy.spatial import ConvexHull, distance
+
+from ..pose_estimator.geometry import make_transform
+
+KEYPOINT_COUNT = 9
+"""Eight on the surface and the centre of the frame."""
+
+POINT_COUNT = 1000
+POINT_SEED = 0
+
+_MAX_STABLE_POSES = 12
+_MIN_PROBABILITY = 0.01
+
+
+def farthest_points(points: np.ndarray, count: int, start: int) -> np.ndarray:
+    """Farthest point sampling: indices (count,) into points (N, 3), the first being ``start``."""
+    chosen = np.empty(count, dtype=int)
+    nearest = np.full(len(points), np.inf)
+    index = start
+    for k in range(count):
+        chosen[k] = index
+        nearest = np.minimum(nearest, np.sum((points - points[index]) ** 2, axis=1))
+        index = int(nearest.argmax())
+    return chosen
+
+
+def keypoints(
+    vertices: np.ndarray, centre: np.ndarray, symmetries: np.ndarray | None = None
+) -> np.ndarray:
+    """PVNet's keypoints (9, 3): farthest point sampling over the surface, then the centre.
+
+    Peng et al., "PVNet: Pixel-wise Voting Network for 6DoF Pose Estimation", CVPR 2019, section
+    3.1. Deterministic: the first keypoint is the vertex farthest from the centre. For a symmetric
+    object each chosen vertex brings its images under the symmetries, so that a symmetry only
+    renumbers the keypoints and two views can be brought to agree.
+
+    Args:
+        vertices: (V, 3).
+        centre: (3,), becomes the ninth keypoint and steers nothing but the first choice.
+        symmetries: (S, 4, 4), identity first; used where S divides eight.
+    """
+    start = int(np.sum((vertices - centre) ** 2, axis=1).argmax())
+    count = KEYPOINT_COUNT - 1
+    if symmetries is None or len(symmetries) == 1 or count % len(symmetries):
+        return np.concatenate([vertices[farthest_points(vertices, count, start)], centre[None]])
+    chosen: list[np.ndarray] = []
+    nearest = np.full(len(vertices), np.inf)
+    index = start
+    while len(chosen) < count:
+        for S in symmetries:
+            chosen.append(S[:3, :3] @ vertices[index] + S[:3, 3])
+            nearest = np.minimum(nearest, np.sum((vertices - chosen[-1]) ** 2, axis=1))
+        index = int(nearest.argmax())
+    return np.stack([*chosen, centre])
+
+
+def even_points(mesh: trimesh.Trimesh, count: int = POINT_COUNT) -> np.ndarray:
+    """Points (count, 3) spread evenly over the surface, rounded to a micrometre."""
+    dense, _ = trimesh.sample.sample_surface(mesh, 15 * count, seed=POINT_SEED)
+    dense = np.asarray(dense)
+    return np.round(dense[farthest_points(dense, count, 0)], 6)
+
+
+def diameter(vertices: np.ndarray) -> float:
+    """Largest distance between two vertices (V, 3)."""
+    corners = vertices
+    if np.linalg.matrix_rank(vertices - vertices[0], tol=1e-9) == 3:
+        corners = vertices[ConvexHull(vertices).vertices]
+    return float(max(distance.cdist(part, corners).max() for part in np.array_split(corners, 8)))
+
+
+def centre_of_mass(mesh: trimesh.Trimesh) -> np.ndarray:
+    """Centre of mass (3,) of the solid; of its convex hull where the mesh is not closed."""
+    solid = mesh if mesh.is_watertight and mesh.volume > 0 else mesh.convex_hull
+    return np.asarray(solid.center_mass)
+
+
+def support_margin(mesh: trimesh.Trimesh, tolerance: float) -> float:
+    """How safely the mesh stands as it is, +z up.
+
+    Args:
+        mesh: in the object frame.
+        tolerance: vertices this close to the lowest one touch the ground (m).
+
+    Returns:
+        Distance in the plane (m) from the centre of mass to the border of the support polygon,
+        negative when it lies outside: the object tips over.
+    """
+    vertices = mesh.vertices
+    feet = vertices[vertices[:, 2] <= vertices[:, 2].min() + tolerance, :2]
+    if len(feet) < 3 or np.linalg.matrix_rank(feet - feet[0], tol=1e-6) < 2:
+        return -float("inf")
+    planes = ConvexHull(feet).equations
+    return -float(np.max(planes[:, :2] @ centre_of_mass(mesh)[:2] + planes[:, 2]))
+
+
+def stable_poses(mesh: trimesh.Trimesh, max_tilt: float = 0.1) -> np.ndarray:
+    """Poses T_table_obj (N, 4, 4) in which the object rests on z = 0.
+
+    The first is upright (+z up), if the object can stand like that within ``max_tilt``; the
+    others, at most eleven, follow in order of falling probability (quasi-static probabilities of
+    Goldberg et al., "Part pose statistics", IJRR 1999).
+
+    Args:
+        mesh: in the object frame, metres.
+        max_tilt: largest angle (rad) between +z and the vertical that still is upright. An object
+            that stands with no tilt at all gets exactly the identity rotation.
+    """
+    hull = mesh.convex_hull
+    transforms, probabilities = trimesh.poses.compute_stable_poses(
+        hull, center_mass=centre_of_mass(mesh), seed=POINT_SEED
+    )
+    order = np.argsort(-np.asarray(probabilities), kind="stable")
+    rotations = np.asarray(transforms)[order, :3, :3]
+    likely = np.asarray(probabilities)[order] >= _MIN_PROBABILITY
+    up = np.clip(rotations[:, 2, 2], -1.0, 1.0)
+    standing = np.arccos(up) <= max_tilt
+    chosen = [r for r, keep in zip(rotations, likely & ~standing, strict=True) if keep]
+    if support_margin(mesh, tolerance=0.004 * float(np.linalg.norm(mesh.extents))) > 0:
+        chosen.insert(0, np.eye(3))
+    elif standing.any():
+        chosen.insert(0, rotations[up.argmax()])
+    elif not chosen:
+        chosen = [rotations[0] if len(rotations) else np.eye(3)]
+    return np.stack([_on_the_table(r, mesh.vertices) for r in chosen[:_MAX_STABLE_POSES]])
+
+
+def _on_the_table(rotation: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """Rotates, centres the origin over the table's origin and lets the lowest point touch z = 0."""
+    height = float((vertices @ rotation[2]).min())
+    return make_transform(rotation, np.array([0.0, 0.0, -height]))
