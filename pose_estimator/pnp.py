@@ -75,7 +75,7 @@ def uncertainty_pnp(
         model_points,
         np.nan_to_num(pixels, posinf=0, neginf=0),
         check_intrinsics(K),
-        _whiteners(pixels, covariances),
+        whiteners(pixels, covariances),
     )
 
     known = problem.whiteners.any(axis=(1, 2))
@@ -205,7 +205,7 @@ def _huber_cost(residuals: np.ndarray) -> float:
     return float(np.where(far, _HUBER * (distances - 0.5 * _HUBER), 0.5 * distances**2).sum())
 
 
-def _whiteners(pixels: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+def whiteners(pixels: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     """W (N, 2, 2) with W^T W = Sigma^-1, by the closed-form Cholesky factor of a 2x2 inverse."""
     usable = np.isfinite(pixels).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
     covariances = np.where(usable[:, None, None], covariances, np.eye(2))
