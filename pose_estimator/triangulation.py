@@ -10,6 +10,7 @@ known.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,7 +21,7 @@ _NEAREST = 0.05
 """Least depth in metres of a point in every view, where the views allow it."""
 
 _FARTHEST = 10.0
-"""Largest depth in metres: a table-top scene has nothing further, and nearly parallel rays would."""
+"""Largest depth in metres: a table-top scene has nothing further."""
 
 _NOMINAL_DEPTH = 1.0
 """Depth in metres at which a point is put if its rays do not say."""
@@ -70,22 +71,23 @@ def triangulate(
     return points, np.linalg.inv(information + np.eye(3) / _PRIOR**2)
 
 
+@dataclass(frozen=True, eq=False)
 class _Rig:
-    """V cameras that look at N points; everything in the frame of the first."""
+    """V cameras that look at N points; everything in the frame of the first.
 
-    def __init__(
-        self,
-        pixels: np.ndarray,
-        whiteners: np.ndarray,
-        cameras: np.ndarray,
-        rotations: np.ndarray,
-        translations: np.ndarray,
-    ) -> None:
-        self.pixels = pixels
-        self.whiteners = whiteners
-        self.cameras = cameras
-        self.rotations = rotations
-        self.translations = translations
+    Attributes:
+        pixels: (V, N, 2).
+        whiteners: (V, N, 2, 2), W^T W = Sigma^-1, or zero where a view does not see a point.
+        cameras: (V, 3, 3), camera matrices.
+        rotations: (V, 3, 3), first camera to each.
+        translations: (V, 3), metres.
+    """
+
+    pixels: np.ndarray
+    whiteners: np.ndarray
+    cameras: np.ndarray
+    rotations: np.ndarray
+    translations: np.ndarray
 
     def in_views(self, points: np.ndarray) -> np.ndarray:
         """Points (N, 3) in each camera's frame, (V, N, 3)."""
@@ -146,7 +148,7 @@ def _start(rig: _Rig, T_view_first: np.ndarray) -> np.ndarray:
     target = np.einsum("vnij,vnj->ni", weighted, np.broadcast_to(centres, rays.shape))
     points = np.linalg.solve(matrix, (target + 1e-7 * anchor)[..., None])[..., 0]
 
-    # An intersection behind a camera, or far off, is none: take the best depth on the first view's ray.
+    # An intersection behind a camera, or far off, is none: take the best depth on one ray.
     cost = rig.cost(points)
     lost = ~np.isfinite(cost)
     if lost.any():
