@@ -1,0 +1,180 @@
+"""The file of a trained agent: tensors and a JSON header in one safetensors file.
+
+Stable-Baselines3's own zip files hold pickled Python objects, and loading one runs whatever code
+its author put there. Here the tensors are plain data and the header is JSON, so that a file from a
+stranger can at worst be wrong. The header travels in the metadata of the safetensors file: header
+and tensors are one file, replaced in one rename.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import torch
+from gymnasium import spaces
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from ..pose_estimator.results import commit, versions, write_atomically
+
+FORMAT = "two-view-pose agent 1"
+
+
+@dataclass(frozen=True)
+class AgentHeader:
+    """What a file of a trained agent says about itself.
+
+    Attributes:
+        algo: ``ppo``, ``sac`` or ``dqn``.
+        env: id of the environment it was trained on.
+        env_kwargs: the environment's arguments, plain data.
+        hyperparameters: the entry of the hyper-parameter file.
+        n_envs: environments that ran side by side.
+        seed: seed of the training.
+        checkpoint_every: environment steps between checkpoints.
+        steps: environment steps so far.
+        observation_space: see `describe_space`.
+        action_space: see `describe_space`.
+        counters: the trainer's own counters, empty in a file that holds only a policy.
+        versions: package versions at the time of writing.
+        commit: commit of the checkout, None for an installed wheel.
+        format: name and version of this file format.
+    """
+
+    algo: str
+    env: str
+    env_kwargs: dict[str, Any]
+    hyperparameters: dict[str, Any]
+    n_envs: int
+    seed: int
+    checkpoint_every: int
+    steps: int
+    observation_space: Any
+    action_space: Any
+    counters: dict[str, float] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=versions)
+    commit: str | None = field(default_factory=commit)
+    format: str = FORMAT
+
+
+def describe_space(space: spaces.Space) -> Any:
+    """Kind, shape and bounds of a Dict, Box or Discrete space as plain data.
+
+    Raises:
+        ValueError: if it is another kind of space.
+    """
+    if isinstance(space, spaces.Dict):
+        return {key: describe_space(part) for key, part in sorted(space.spaces.items())}
+    if isinstance(space, spaces.Discrete):
+        return f"Discrete({int(space.n)}, start={int(space.start)})"
+    if isinstance(space, spaces.Box):
+        low, high = float(space.low.min()), float(space.high.max())
+        return f"Box({low:g}, {high:g}, {tuple(space.shape)}, {space.dtype})"
+    raise ValueError(f"space must be a Dict, a Box or Discrete, got {space}")
+
+
+def write_agent(
+    path: str | os.PathLike[str], header: AgentHeader, tensors: Mapping[str, torch.Tensor]
+) -> None:
+    """Writes an agent file; the path holds either the old file or the whole new one.
+
+    Raises:
+        ValueError: if the header is not plain data.
+    """
+    try:
+        text = json.dumps(asdict(header), sort_keys=True, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"agent header must be plain data (text, numbers, lists, mappings): {error}"
+        ) from error
+    plain = {key: tensor.detach().cpu().contiguous().clone() for key, tensor in tensors.items()}
+    write_atomically(path, save(plain, metadata={"header": text}))
+
+
+def read_agent(
+    path: str | os.PathLike[str], prefix: str = ""
+) -> tuple[AgentHeader, dict[str, torch.Tensor]]:
+    """Reads an agent file without executing anything of it.
+
+    Args:
+        path: the file.
+        prefix: only the tensors whose names begin with it are read.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is not an agent file, or a damaged one.
+    """
+    source = Path(path)
+    if not source.is_file():
+        raise FileNotFoundError(f"agent file {source} does not exist")
+    with source.open("rb") as stream:
+        start = stream.read(4)
+    if start == b"PK\x03\x04" or start[:1] == b"\x80":
+        raise ValueError(
+            f"agent file {source} is a {'zip' if start[:1] == b'P' else 'pickle'} file, which can "
+            "run code when it is loaded, so it is not loaded; agents are .safetensors files, as "
+            "train-agent writes them"
+        )
+    try:
+        with safe_open(source, framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {key: file.get_tensor(key) for key in file.keys() if key.startswith(prefix)}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise ValueError(f"agent file {source} is not a whole safetensors file: {error}") from error
+    header = _parse_header(metadata.get("header"), source)
+    for key, tensor in tensors.items():
+        if tensor.is_floating_point() and not torch.isfinite(tensor).all():
+            raise ValueError(f"agent file {source} is damaged: {key} has NaN or infinite entries")
+    return header, tensors
+
+
+def _parse_header(text: str | None, source: Path) -> AgentHeader:
+    if text is None:
+        raise ValueError(f"agent file {source} has no header: it is not an agent of train-agent")
+    try:
+        content = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise ValueError(f"agent file {source} has a header that is not JSON: {error}") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        found = content.get("format") if isinstance(content, dict) else content
+        raise ValueError(f"agent file {source} must have the format {FORMAT!r}, got {found!r}")
+    names = {item.name for item in fields(AgentHeader)}
+    if set(content) != names:
+        raise ValueError(
+            f"agent file {source} has a damaged header: missing "
+            f"{sorted(names - set(content))}, unknown {sorted(set(content) - names)}"
+        )
+    kinds = {"algo": str, "env": str, "steps": int, "n_envs": int, "seed": int}
+    kinds |= {"env_kwargs": dict, "hyperparameters": dict, "counters": dict}
+    for key, kind in kinds.items():
+        if not isinstance(content[key], kind):
+            raise ValueError(
+                f"agent file {source} has a damaged header: {key} must be {kind.__name__}, "
+                f"got {content[key]!r}"
+            )
+    return AgentHeader(**content)
+
+
+def subset(tensors: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+    """The tensors whose names begin with ``prefix``, under the rest of their names."""
+    return {key[len(prefix) :]: value for key, value in tensors.items() if key.startswith(prefix)}
+
+
+def check_tensors(
+    found: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor], what: str
+) -> None:
+    """Raises ValueError unless names and shapes agree."""
+    missing, unknown = sorted(set(expected) - set(found)), sorted(set(found) - set(expected))
+    if missing or unknown:
+        raise ValueError(f"{what} does not fit: missing {missing[:5]}, unknown {unknown[:5]}")
+    for key, tensor in expected.items():
+        if tuple(found[key].shape) != tuple(tensor.shape):
+            raise ValueError(
+                f"{what} does not fit: {key} must be of shape {tuple(tensor.shape)}, "
+                f"got {tuple(found[key].shape)}"
+            )

@@ -1,0 +1,124 @@
+"""The arguments of ``train-agent`` and ``evaluate-agent``; importing them imports no torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+Scene = Literal["linemod", "occlusion"]
+PlainArguments = Annotated[dict[str, Any], tyro.conf.Suppress]
+
+BOX_ENV, DISCRETE_ENV = "TwoViewPose-v0", "TwoViewPoseDiscrete-v0"
+
+
+@dataclass(frozen=True)
+class TrainAgentConfig:
+    """Train an agent that chooses the second view. Run it again to go on after a kill."""
+
+    algo: Literal["ppo", "sac", "dqn"] = "ppo"
+    """Algorithm; dqn chooses among the views of TwoViewPoseDiscrete-v0."""
+    steps: int | None = None
+    """Environment steps in all, those before a kill included; by default n_timesteps of the
+    hyper-parameters."""
+    out: Path = Path("runs/agent")
+    """Folder for the policy, the checkpoint and the TensorBoard logs."""
+    env: str | None = None
+    """Environment id; by default TwoViewPoseDiscrete-v0 for dqn, else TwoViewPose-v0."""
+    scene: Scene = "linemod"
+    """Light clutter, or clutter that hides much of the target."""
+    objects: tuple[str, ...] = ()
+    """Names of objects or mesh files; by default the 13 of LineMOD."""
+    estimator: Literal["mid", "single"] | None = "mid"
+    """What estimates the pose; None renders only, and every pose is zero."""
+    n_envs: int | None = None
+    """Environments side by side, a process each; by default n_envs of the hyper-parameters."""
+    seed: int = 0
+    """Seed; same seed, same weights."""
+    checkpoint_every: int = 1000
+    """Environment steps between checkpoints."""
+    resume: bool = True
+    """Go on from the folder's checkpoint if there is one; if not set, start anew and replace it."""
+    hyperparameters: Path | None = None
+    """YAML file in rl-zoo3's form; by default the one that ships."""
+    device: str = "cpu"
+    """Torch device."""
+    progress: bool = True
+    """Show a progress bar."""
+    json: Path | None = None
+    """File for machine-readable results."""
+    env_kwargs: PlainArguments = field(default_factory=dict)
+    """More arguments of the environment, plain data, for callers from Python."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "n_envs", "checkpoint_every"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"{name} must be at least 1, got {value}")
+        if self.seed < 0:
+            raise ValueError(f"seed must be at least 0, got {self.seed}")
+
+    @property
+    def env_id(self) -> str:
+        """The environment's id."""
+        return self.env or (DISCRETE_ENV if self.algo == "dqn" else BOX_ENV)
+
+    @property
+    def environment_arguments(self) -> dict[str, Any]:
+        """What the environment is made with."""
+        return environment_arguments(self.scene, self.objects, self.estimator, self.env_kwargs)
+
+
+@dataclass(frozen=True)
+class EvaluateAgentConfig:
+    """Compare policies on the same scenes, beside what the first view alone gives."""
+
+    policy: tuple[str, ...] = ("random", "fixed", "max-baseline")
+    """random, fixed (30 degrees to the side), max-baseline (farthest in angle), or files that
+    train-agent wrote."""
+    scene: Scene = "linemod"
+    """Light clutter, or clutter that hides much of the target."""
+    episodes: int = 100
+    """Scenes."""
+    seed: int = 0
+    """Seed of the scenes; the same for every policy."""
+    env: str | None = None
+    """Environment id; by default the one that the trained policies were trained on, else
+    TwoViewPose-v0."""
+    objects: tuple[str, ...] = ()
+    """Names of objects or mesh files; by default the 13 of LineMOD."""
+    estimator: Literal["mid", "single"] | None = "mid"
+    """What estimates the pose; None renders only, and every pose is zero."""
+    progress: bool = True
+    """Show a progress bar."""
+    json: Path | None = None
+    """File for machine-readable results."""
+    env_kwargs: PlainArguments = field(default_factory=dict)
+    """More arguments of the environment, for callers from Python."""
+
+    def __post_init__(self) -> None:
+        if not self.policy:
+            raise ValueError("policy must name at least one policy, got none")
+        if len(set(self.policy)) < len(self.policy):
+            raise ValueError(f"policy must name each policy once, got {' '.join(self.policy)}")
+        if self.episodes < 1:
+            raise ValueError(f"episodes must be at least 1, got {self.episodes}")
+        if self.seed < 0:
+            raise ValueError(f"seed must be at least 0, got {self.seed}")
+
+    @property
+    def environment_arguments(self) -> dict[str, Any]:
+        """What the environment is made with."""
+        return environment_arguments(self.scene, self.objects, self.estimator, self.env_kwargs)
+
+
+def environment_arguments(
+    scene: str, objects: tuple[str, ...], estimator: str | None, more: dict[str, Any]
+) -> dict[str, Any]:
+    """The keyword arguments of ``gymnasium.make``; no objects means the environment's own."""
+    arguments: dict[str, Any] = {"scene": scene, "estimator": estimator}
+    if objects:
+        arguments["objects"] = list(objects)
+    return arguments | more

@@ -1,0 +1,191 @@
+"""Training an agent with Stable-Baselines3: one command, which may be killed and run again."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+
+from ..pose_estimator.results import write_results
+from .checkpoint import AgentHeader, describe_space, read_agent, write_agent
+from .config import TrainAgentConfig
+from .hyperparameters import ALGORITHMS, algorithm_kwargs, load_hyperparameters
+from .training_state import counters, restart, restore_state, state_tensors
+
+CHECKPOINT, POLICY, LOGS = "checkpoint.safetensors", "policy.safetensors", "tb"
+
+
+def train_agent(config: TrainAgentConfig) -> Path:
+    """Trains an agent and saves it; goes on from the folder's checkpoint if there is one.
+
+    Args:
+        config: see `TrainAgentConfig`.
+
+    Returns:
+        The file of the trained policy, for ``evaluate-agent``.
+
+    Raises:
+        ValueError: if an argument is wrong, or the folder holds a run of other arguments.
+    """
+    entry = load_hyperparameters(
+        config.algo, config.env_id.rpartition(":")[2], config.hyperparameters
+    )
+    steps = config.steps or entry.get("n_timesteps", 0)
+    n_envs = config.n_envs or entry.get("n_envs", 1)
+    if not all(isinstance(value, int) and value > 0 for value in (steps, n_envs)):
+        raise ValueError(f"n_timesteps and n_envs must be at least 1, got {steps} and {n_envs}")
+    venv = make_vec_env(
+        functools.partial(_make_env, config.env_id, config.environment_arguments),
+        n_envs=n_envs,
+        seed=config.seed,
+        vec_env_cls=DummyVecEnv if n_envs == 1 else SubprocVecEnv,
+    )
+    try:
+        header = _header(config, entry, venv)
+        model = _make_model(config, entry, venv)
+        resumed = _resume(model, header, config)
+        if resumed:
+            print(f"Resuming {config.out} at step {model.num_timesteps} of {steps}.")
+        start, began = model.num_timesteps, time.perf_counter()
+        if steps > start:
+            model.learn(
+                steps - start,
+                callback=_Checkpoints(header, config),
+                log_interval=1 if config.algo == "ppo" else 50,
+                tb_log_name=config.algo,
+                reset_num_timesteps=not resumed,
+                progress_bar=config.progress,
+            )
+        seconds = time.perf_counter() - began
+        save_agent(model, header, config.out)
+    finally:
+        venv.close()
+    _report(model, config, model.num_timesteps - start, seconds)
+    return config.out / POLICY
+
+
+class _Checkpoints(BaseCallback):
+    """Saves the trainer between two rollouts, where it is complete, every so many steps."""
+
+    def __init__(self, header: AgentHeader, config: TrainAgentConfig) -> None:
+        super().__init__()
+        self._header = header
+        self._out = config.out
+        self._every = config.checkpoint_every
+        self._due: int | None = None
+
+    def _on_rollout_start(self) -> None:
+        steps = self.model.num_timesteps
+        if self._due is not None and steps < self._due:
+            return
+        if self._due is not None:
+            save_agent(self.model, self._header, self._out)
+        restart(self.model, self._header.seed)
+        self._due = (steps // self._every + 1) * self._every
+
+    def _on_step(self) -> bool:
+        return True
+
+
+def save_agent(model: BaseAlgorithm, header: AgentHeader, out: Path) -> None:
+    """Writes the policy, then the checkpoint from which training can go on, into ``out``."""
+    header = replace(header, steps=model.num_timesteps)
+    tensors = state_tensors(model)
+    policy = {key: value for key, value in tensors.items() if key.startswith("policy/")}
+    write_agent(out / POLICY, header, policy)
+    write_agent(out / CHECKPOINT, replace(header, counters=counters(model)), tensors)
+
+
+def _make_env(env_id: str, arguments: dict[str, Any]) -> gym.Env:
+    """Makes the environment in whichever process this runs; unpickling it registers the ids."""
+    return gym.make(env_id, **arguments)
+
+
+def _make_model(config: TrainAgentConfig, entry: dict[str, Any], venv: VecEnv) -> BaseAlgorithm:
+    config.out.mkdir(parents=True, exist_ok=True)
+    return ALGORITHMS[config.algo](
+        "MultiInputPolicy",
+        venv,
+        seed=config.seed,
+        device=config.device,
+        tensorboard_log=os.fspath(config.out / LOGS),
+        **algorithm_kwargs(entry),
+    )
+
+
+def _header(config: TrainAgentConfig, entry: dict[str, Any], venv: VecEnv) -> AgentHeader:
+    """What identifies the run, as plain data."""
+    try:
+        plain = json.loads(json.dumps([config.environment_arguments, entry]))
+    except TypeError as error:
+        raise ValueError(
+            f"the environment's arguments must be plain data to be saved with the agent, "
+            f"got {config.environment_arguments}: {error}"
+        ) from error
+    return AgentHeader(
+        algo=config.algo,
+        env=config.env_id,
+        env_kwargs=plain[0],
+        hyperparameters=plain[1],
+        n_envs=venv.num_envs,
+        seed=config.seed,
+        checkpoint_every=config.checkpoint_every,
+        steps=0,
+        observation_space=describe_space(venv.observation_space),
+        action_space=describe_space(venv.action_space),
+    )
+
+
+def _resume(model: BaseAlgorithm, header: AgentHeader, config: TrainAgentConfig) -> bool:
+    """Restores the folder's checkpoint, if there is one and it is of the same run."""
+    path = config.out / CHECKPOINT
+    if not (config.resume and path.exists()):
+        return False
+    found, tensors = read_agent(path)
+    names = ("algo", "env", "env_kwargs", "hyperparameters", "n_envs", "seed", "checkpoint_every")
+    for name in (*names, "observation_space", "action_space"):
+        if getattr(found, name) != getattr(header, name):
+            raise ValueError(
+                f"{path} is of another run: its {name} is {getattr(found, name)}, this one's is "
+                f"{getattr(header, name)}; give another folder, or --no-resume to replace it"
+            )
+    restore_state(model, tensors, found.counters)
+    return True
+
+
+def _report(model: BaseAlgorithm, config: TrainAgentConfig, steps: int, seconds: float) -> None:
+    """Prints what was saved and how to evaluate it; writes the results file if one is asked for."""
+    policy = config.out / POLICY
+    rewards = [episode["r"] for episode in model.ep_info_buffer or ()]
+    print(f"Saved {policy} after {model.num_timesteps} steps.")
+    if rewards:
+        print(f"Mean reward of the last {len(rewards)} episodes: {sum(rewards) / len(rewards):.3f}")
+    print(f"Learning curves: tensorboard --logdir {config.out / LOGS}")
+    print(
+        "Compare it with the baselines: python -m two_view_pose evaluate-agent --policy "
+        f"random fixed max-baseline {policy} --scene {config.scene}"
+    )
+    if config.json is None:
+        return
+    tags = {"policy": os.fspath(policy), "algo": config.algo, "scene": config.scene}
+    records = [{"metric": "steps", "value": model.num_timesteps, "unit": "1", **tags}]
+    if rewards:
+        mean = sum(rewards) / len(rewards)
+        records.append(
+            {"metric": "mean_reward", "value": mean, "unit": "1", "n": len(rewards), **tags}
+        )
+    if steps:
+        rate = steps / seconds
+        records.append({"metric": "steps_per_second", "value": rate, "unit": "1/s", **tags})
+    command = f"train-agent --algo {config.algo} --steps {model.num_timesteps} --out {config.out}"
+    write_results(config.json, records, command=command, seed=config.seed)

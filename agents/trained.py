@@ -1,0 +1,106 @@
+"""A trained agent, rebuilt from its file: data in, policy out, nothing executed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.preprocessing import is_image_space
+from stable_baselines3.common.vec_env import VecTransposeImage
+
+from .checkpoint import AgentHeader, check_tensors, describe_space, read_agent, subset
+from .hyperparameters import ALGORITHMS, check_hyperparameters, policy_kwargs
+
+Action = np.ndarray | int
+
+
+class TrainedPolicy:
+    """Acts with a trained network, deterministically.
+
+    Attributes:
+        name: what tables call it.
+        header: what its file says about it.
+    """
+
+    def __init__(self, policy: BasePolicy, header: AgentHeader, name: str) -> None:
+        self.name = name
+        self.header = header
+        self._policy = policy
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Nothing to do: the policy draws nothing and remembers nothing."""
+
+    def act(self, observation: Mapping[str, np.ndarray]) -> Action:
+        """The action for one observation of the environment (not batched)."""
+        action, _ = self._policy.predict(dict(observation), deterministic=True)
+        return int(action) if isinstance(self._policy.action_space, spaces.Discrete) else action
+
+
+def load_policy(path: str | os.PathLike[str], env: gym.Env) -> TrainedPolicy:
+    """Loads what ``train-agent`` wrote, a ``policy.safetensors`` or a ``checkpoint.safetensors``.
+
+    Args:
+        path: the file.
+        env: the environment it will act in.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is not an agent file, is damaged, or was trained on other observations
+            or actions than those of ``env``.
+    """
+    header, tensors = read_agent(path, prefix="policy/")
+    check_hyperparameters(header.algo, header.hyperparameters)
+    _check_spaces(header, env, path)
+    policy = _build(header, env)
+    weights = subset(tensors, "policy/")
+    check_tensors(weights, policy.state_dict(), f"agent file {path}")
+    policy.load_state_dict(weights)
+    return TrainedPolicy(policy, header, os.fspath(path))
+
+
+def _build(header: AgentHeader, env: gym.Env) -> BasePolicy:
+    space = env.observation_space
+    if not isinstance(space, spaces.Dict):
+        raise ValueError(f"the environment's observation must be a Dict, got {space}")
+    # SB3 trains on images with channels first and turns those it is given.
+    turned = spaces.Dict(
+        {
+            key: VecTransposeImage.transpose_space(part)
+            if isinstance(part, spaces.Box) and is_image_space(part)
+            else part
+            for key, part in space.spaces.items()
+        }
+    )
+    policy_class: Any = ALGORITHMS[header.algo].policy_aliases["MultiInputPolicy"]
+    with torch.random.fork_rng(devices=[]):  # its first random weights are not the caller's draws
+        try:
+            policy = policy_class(
+                turned, env.action_space, lambda _: 0.0, **policy_kwargs(header.hyperparameters)
+            )
+        except (TypeError, AttributeError, AssertionError) as error:
+            raise ValueError(
+                f"agent's policy_kwargs {header.hyperparameters.get('policy_kwargs')} do not make "
+                f"a policy of {header.algo}: {error}"
+            ) from error
+    policy.set_training_mode(False)
+    return policy
+
+
+def _check_spaces(header: AgentHeader, env: gym.Env, path: str | os.PathLike[str]) -> None:
+    for name, trained in (
+        ("observation", header.observation_space),
+        ("action", header.action_space),
+    ):
+        found = describe_space(getattr(env, f"{name}_space"))
+        if found != trained:
+            here = env.spec.id if env.spec else type(env.unwrapped).__name__
+            raise ValueError(
+                f"agent file {path} was trained on {header.env} with the {name} space {trained}; "
+                f"{here} has {found}"
+            )
