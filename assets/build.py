@@ -84,6 +84,7 @@ def build_object(name: str, blueprint: Blueprint, texture_size: int = 256) -> Ob
     clearance = surface.support_margin(mesh, tolerance=0.004 * blueprint.diameter)
     if clearance <= 0:
         raise ValueError(f"{name} does not stand upright: its centre of mass is off its base")
+    symmetries = np.stack([np.eye(4), HALF_TURN] if blueprint.symmetric else [np.eye(4)])
     return ObjectModel(
         name=name,
         obj_id=blueprint.obj_id,
@@ -91,9 +92,9 @@ def build_object(name: str, blueprint: Blueprint, texture_size: int = 256) -> Ob
         faces=faces,
         uv=uv,
         texture=picture,
-        keypoints=surface.keypoints(vertices, np.zeros(3)),
+        keypoints=surface.keypoints(vertices, np.zeros(3), symmetries),
         diameter=surface.diameter(vertices),
-        symmetries=np.stack([np.eye(4), HALF_TURN] if blueprint.symmetric else [np.eye(4)]),
+        symmetries=symmetries,
         points=surface.even_points(mesh),
         stable_poses=surface.stable_poses(mesh),
         specular=solid.specular,
