@@ -79,7 +79,9 @@ def check_opengl() -> Check:
         return Check("OpenGL", True, f"{process.stdout.strip()} renders")
     lines = [line for line in process.stderr.splitlines() if line.strip()]
     reason = lines[-1].strip() if lines else f"the renderer ended with code {process.returncode}"
-    return Check("OpenGL", False, f"{reason}. To install it: {INSTALL_HINT}")
+    if INSTALL_HINT not in reason:
+        reason = f"{reason}. To install it: {INSTALL_HINT}"
+    return Check("OpenGL", False, reason)
 
 
 def check_machine() -> Iterator[Check]:

@@ -1,0 +1,228 @@
+"""The command line: help, options, error messages, and the verbs `estimate` and `doctor`."""
+
+import json
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+from two_view_pose import pose_estimator
+from two_view_pose.__main__ import VERBS, main
+from two_view_pose.assets import load_object
+from two_view_pose.pose_estimator.geometry import LINEMOD_K
+
+OPTIONS = {
+    "demo": "seed object scene policy out json",
+    "generate": "out seed json",
+    "train-estimator": "out seed",
+    "evaluate": "method weights scene scenes seed data pairs roi json",
+    "estimate": "reference second K relative-pose object method weights out overlay json",
+    "train-agent": "algo steps out env scene seed json",
+    "evaluate-agent": "policy scene episodes seed json",
+    "doctor": "quick json",
+}
+
+
+def test_every_verb_is_listed(capsys):
+    assert main(["--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert set(OPTIONS) == set(VERBS)
+    for verb in OPTIONS:
+        (line,) = [line for line in lines if line.startswith(f"  {verb} ")]
+        assert len(line) <= 88
+
+
+@pytest.mark.parametrize("verb", OPTIONS)
+def test_help_names_the_options(verb, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([verb, "--help"])
+    assert stop.value.code == 0
+    words = set(capsys.readouterr().out.replace(",", " ").split())
+    assert {f"--{option}" for option in OPTIONS[verb].split()} <= words
+
+
+def test_help_is_quick_to_come():
+    code = (
+        "import sys; from two_view_pose.__main__ import main; main(['--help']);"
+        "print([m for m in ('torch', 'mujoco', 'stable_baselines3', 'cv2') if m in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.endswith("[]\n")
+
+
+def test_without_a_verb_the_help_comes_and_the_exit_code_says_so(capsys):
+    assert main([]) == 2
+    assert "usage:" in capsys.readouterr().out
+
+
+def test_unknown_verb(capsys):
+    assert main(["evalute"]) == 2
+    error = capsys.readouterr().err
+    assert "'evalute'" in error and "evaluate-agent" in error
+
+
+def test_unknown_option(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["doctor", "--nonsense"])
+    assert stop.value.code == 2
+    assert "--nonsense" in capsys.readouterr().err
+
+
+@pytest.fixture
+def inputs(tmp_path):
+    """Files and options of a good call, to be spoilt."""
+    rng = np.random.default_rng(0)
+    for name in ("a.png", "b.png"):
+        Image.fromarray(rng.integers(0, 255, (480, 640, 3), np.uint8)).save(tmp_path / name)
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("y", 20, degrees=True).as_matrix()
+    T[:3, 3] = -0.3, 0.02, 0.1
+    (tmp_path / "T.json").write_text(json.dumps({"T_second_reference": T.tolist()}))
+    (tmp_path / "K.json").write_text(json.dumps({"cam_K": LINEMOD_K.ravel().tolist()}))
+    options = {
+        "reference": tmp_path / "a.png",
+        "second": tmp_path / "b.png",
+        "K": tmp_path / "K.json",
+        "relative-pose": tmp_path / "T.json",
+        "object": "can",
+        "out": tmp_path / "pose.json",
+        "overlay": tmp_path / "overlay.png",
+        "json": tmp_path / "results.json",
+    }
+    return SimpleNamespace(folder=tmp_path, options=options, T=T)
+
+
+def command(options):
+    """The command line of `estimate` with these options."""
+    pairs = [(f"--{name}", str(value)) for name, value in options.items() if value is not None]
+    return ["estimate", *(word for pair in pairs for word in pair)]
+
+
+def write(inputs, name, text):
+    """Writes a text file and returns its path."""
+    path = inputs.folder / name
+    path.write_text(text)
+    return path
+
+
+def small_image(inputs):
+    Image.new("RGB", (320, 240)).save(inputs.folder / "small.png")
+    return inputs.folder / "small.png"
+
+
+SCALED = np.diag([1.1, 1.1, 1.1, 1.0]).tolist()
+WRONG = {
+    "no such picture": (dict(reference=lambda i: i.folder / "no.png"), "no.png"),
+    "not a picture": (dict(second=lambda i: write(i, "x.png", "x")), "x.png is not a picture"),
+    "another size": (dict(second=small_image), "reference is 640x480, second is 320x240"),
+    "K 2x2": (dict(K=lambda i: write(i, "K.txt", "1 2\n3 4\n")), "K must be a 3x3"),
+    "K no file": (dict(K=lambda i: "k.yml"), "K must be fx,fy,cx,cy"),
+    "K no numbers": (dict(K=lambda i: "500,500,a,240"), "K must be four numbers"),
+    "K NaN": (dict(K=lambda i: "500,nan,320,240"), "K has NaN"),
+    "K of a larger picture": (dict(K=lambda i: "1500,1500,960,540"), "principal point"),
+    "K without its key": (dict(K=lambda i: write(i, "K2.json", "{}")), "none of the keys K, cam_K"),
+    "pose not rigid": (
+        {"relative-pose": lambda i: write(i, "T2.json", json.dumps(SCALED))},
+        "relative_pose is not rigid",
+    ),
+    "pose 3x4": (
+        {"relative-pose": lambda i: write(i, "T.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n")},
+        "relative_pose must be a 4x4",
+    ),
+    "pose no numbers": (
+        {"relative-pose": lambda i: write(i, "T3.txt", "hello")},
+        "holds no matrix of numbers",
+    ),
+    "no relative pose": ({"relative-pose": lambda i: None}, "second and relative_pose go together"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_inputs_are_named_in_one_line(case, inputs, capsys):
+    spoilt, expected = WRONG[case]
+    options = inputs.options | {name: make(inputs) for name, make in spoilt.items()}
+    assert main(command(options)) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and error.count("\n") == 1
+    assert expected in error
+    assert not inputs.options["out"].exists()
+
+
+def test_debug_shows_where(inputs):
+    with pytest.raises(ValueError, match="K must be four numbers"):
+        main(["--debug", *command(inputs.options | {"K": "a,b,c,d"})])
+
+
+class KnownPose:
+    """Answers one pose and keeps what it was asked."""
+
+    object_names = ("can",)
+
+    def __init__(self, T_cam_obj):
+        self.T_cam_obj = T_cam_obj
+
+    def estimate(self, views, object_name):
+        self.views = views
+        return SimpleNamespace(
+            T_cam_obj=self.T_cam_obj,
+            keypoints=load_object(object_name).keypoints + self.T_cam_obj[:3, 3],
+            keypoint_covariance=np.tile(np.eye(3) * 1e-6, (9, 1, 1)),
+            rois=[SimpleNamespace(centre=np.array([300.0, 200.0]), side=90.0, score=0.5)] * 2,
+        )
+
+
+def test_estimate_hands_over_the_views_and_draws_the_pose(inputs, monkeypatch, capsys):
+    T_cam_obj = np.eye(4)
+    T_cam_obj[:3, 3] = 0.05, -0.03, 0.9
+    estimator = KnownPose(T_cam_obj)
+    monkeypatch.setattr(pose_estimator, "load", lambda method, weights: estimator)
+    assert main(command(inputs.options)) == 0
+
+    reference, second = estimator.views
+    np.testing.assert_array_equal(reference.image, Image.open(inputs.options["reference"]))
+    np.testing.assert_allclose(reference.K, LINEMOD_K)
+    np.testing.assert_allclose(
+        second.T_cam_world @ np.linalg.inv(reference.T_cam_world), inputs.T, atol=1e-12
+    )
+    pose = json.loads(inputs.options["out"].read_text())
+    np.testing.assert_allclose(pose["T_cam_obj"], T_cam_obj, atol=1e-8)
+    np.testing.assert_allclose(pose["keypoint_deviation_m"], np.sqrt(3e-6))
+
+    drawn = np.asarray(Image.open(inputs.options["overlay"])).astype(int)
+    assert drawn.shape == (480, 1280, 3)
+    changed = np.any(drawn[:, :640] != reference.image, axis=2)
+    u, v = (LINEMOD_K @ T_cam_obj[:3, 3])[:2] / T_cam_obj[2, 3]
+    rows, columns = np.nonzero(changed)
+    assert abs((columns.min() + columns.max()) / 2 - u) < 10
+    assert abs((rows.min() + rows.max()) / 2 - v) < 10
+    assert np.any(drawn[:, 640:] != second.image)
+
+    results = json.loads(inputs.options["json"].read_text())
+    metrics = [record["metric"] for record in results["records"]]
+    assert metrics.count("detection_score") == 2 and "seconds_per_pair" in metrics
+    assert "x +0.0500, y -0.0300, z +0.9000 m" in capsys.readouterr().out
+
+
+def test_estimate_from_one_photograph(inputs, monkeypatch):
+    estimator = KnownPose(np.eye(4))
+    monkeypatch.setattr(pose_estimator, "load", lambda method, weights: estimator)
+    alone = {"second": None, "relative-pose": None, "K": "572.4114,573.57043,325.2611,242.04899"}
+    assert main(command(inputs.options | alone)) == 0
+    (view,) = estimator.views
+    np.testing.assert_allclose(view.K, LINEMOD_K)
+
+
+def test_doctor_finds_what_renders(tmp_path, capsys):
+    assert main(["doctor", "--quick", "--json", str(tmp_path / "d.json")]) == 0
+    assert "ok  OpenGL" in capsys.readouterr().out
+    (record,) = json.loads((tmp_path / "d.json").read_text())["records"]
+    assert record["check"] == "OpenGL" and record["value"] == 1
+
+
+def test_doctor_says_what_to_install(monkeypatch, capsys):
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    assert main(["doctor", "--quick"]) == 1
+    assert "apt-get install" in capsys.readouterr().out

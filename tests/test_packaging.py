@@ -1,0 +1,140 @@
+"""What is installed: all that is needed, nothing undeclared, and quick to import."""
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+import two_view_pose
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from two_view_pose.assets import OBJECT_NAMES
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+INSTALLED = Path(two_view_pose.__file__).parent
+FOLDERS = ("agents", "assets", "envs", "pose_estimator")
+PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())
+
+
+def requirements(*extras: str) -> dict[str, Requirement]:
+    """Declared requirements by canonical name, those of the extras included."""
+    project = PROJECT["project"]
+    lines = list(project["dependencies"])
+    for extra in extras:
+        lines += project["optional-dependencies"][extra]
+    return {canonicalize_name(r.name): r for r in map(Requirement, lines)}
+
+
+def third_parties(path: Path) -> set[str]:
+    """Top-level names of the third-party modules that a file imports anywhere."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            names.add(node.module.split(".")[0])
+    return names - set(sys.stdlib_module_names) - {"two_view_pose"}
+
+
+def loaded(statement: str, modules: list[str]) -> list[str]:
+    """Which of the modules a fresh interpreter has loaded after a statement."""
+    code = f"import sys; {statement}; print(*[m for m in {modules} if m in sys.modules])"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return run.stdout.split()
+
+
+def test_importing_the_package_is_cheap():
+    heavy = ["torch", "mujoco", "stable_baselines3", "cv2", "scipy", "trimesh"]
+    assert loaded("import two_view_pose", heavy) == []
+
+
+def test_files_and_arrays_need_no_torch():
+    statement = "from two_view_pose import assets; from two_view_pose.pose_estimator import "
+    statement += "bop, geometry, metrics"
+    assert loaded(statement, ["torch", "mujoco", "stable_baselines3"]) == []
+
+
+def test_ids_are_registered():
+    assert {"TwoViewPose-v0", "TwoViewPoseDiscrete-v0"} <= set(gym.registry)
+
+
+def test_every_folder_with_code_is_a_package_of_the_wheel():
+    with_code = {
+        ".".join(("two_view_pose", *path.parent.relative_to(CHECKOUT).parts))
+        for folder in FOLDERS
+        for path in (CHECKOUT / folder).rglob("*.py")
+    }
+    assert with_code | {"two_view_pose"} == set(PROJECT["tool"]["setuptools"]["packages"])
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_every_file_of_the_checkout_is_installed(folder):
+    files = [
+        path.relative_to(CHECKOUT)
+        for path in (CHECKOUT / folder).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts and not path.name.startswith(".")
+    ]
+    assert files
+    assert [str(file) for file in files if not (INSTALLED / file).exists()] == []
+
+
+def test_type_checkers_are_told():
+    assert (INSTALLED / "py.typed").exists()
+
+
+@pytest.mark.parametrize("name", OBJECT_NAMES)
+def test_objects_are_installed(name):
+    folder = INSTALLED / "assets" / "objects" / name
+    assert {"model.glb", "object.json"} <= {path.name for path in folder.iterdir()}
+
+
+def test_weights_are_installed_and_small():
+    sizes = [path.stat().st_size for path in (INSTALLED / "assets/weights").glob("*.safetensors")]
+    assert sizes
+    assert sum(sizes) <= 25e6
+
+
+def test_console_script():
+    (script,) = metadata.entry_points(group="console_scripts", name="two-view-pose")
+    assert script.load()(["--version"]) == 0
+
+
+def test_mujoco_with_the_wrong_accelerations_is_refused():
+    allowed = requirements()["mujoco"].specifier
+    assert "4.0.0" not in allowed
+    assert "3.17.0" in allowed
+
+
+def test_tested_versions_are_allowed_and_complete():
+    lines = (CHECKOUT / "requirements-lock.txt").read_text().splitlines()
+    pins = dict(line.split("==") for line in lines if not line.startswith("#"))
+    for name, requirement in requirements("build", "dev", "train").items():
+        assert pins[name] in requirement.specifier
+
+
+def test_imports_are_declared():
+    providers = metadata.packages_distributions()
+
+    def undeclared(paths: list[Path], declared: set[str]) -> set[str]:
+        imported = set().union(*map(third_parties, paths))
+        return {
+            name
+            for name in imported
+            if declared.isdisjoint(canonicalize_name(d) for d in providers.get(name, [name]))
+        }
+
+    package = [path for folder in FOLDERS for path in (CHECKOUT / folder).rglob("*.py")]
+    assert undeclared(package, set(requirements("build", "train"))) == set()
+    tests = list((CHECKOUT / "tests").rglob("*.py"))
+    # pytest brings packaging along.
+    assert undeclared(tests, set(requirements("dev")) | {"packaging"}) == set()
+
+
+def test_no_machine_paths_in_the_documents():
+    for name in ("README.md", "Makefile", ".ci/run", ".ci/setup", "pyproject.toml"):
+        assert not re.search(r"(?<![\w./])/(root|home|work)/", (CHECKOUT / name).read_text())
