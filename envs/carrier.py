@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from typing import Protocol
 
 import numpy as np
@@ -31,7 +32,7 @@ class PoseNoise:
     def __post_init__(self) -> None:
         for name in ("rotation_deg", "translation"):
             value = getattr(self, name)
-            if not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
+            if not isinstance(value, Real) or not math.isfinite(value) or value < 0:
                 raise ValueError(
                     f"pose_noise.{name} must be a finite number of at least 0, got {value!r}"
                 )

@@ -1,0 +1,250 @@
+"""Chooses what stands where, so that the camera sees as much of the target as it should.
+
+LineMOD's targets stand in full view. LM-O's are hidden behind their neighbours: a wished visibility
+is drawn from LM-O's distribution, and arrangements are tried, measured by small pictures, until
+one comes near.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K, crop_matrix, project, transform
+from .camera import CameraRange
+from .placement import Placed, Resting, free, on_table, pack, resting_shape
+from .world import SHAPE_KINDS, TABLE_HALF
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+LMO_VISIBILITY = ((0.0, 0.05, 0.25, 0.5, 0.75, 1.0), (0.08, 0.17, 0.63, 0.88, 0.97, 1.0))
+"""Quantiles of the target's visibility in LM-O: probabilities and values."""
+
+PROBE_SIZE = 96
+_TOLERANCE = 0.03
+_ROTATIONS = 6
+_BISECTIONS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """Something on the table; ``size`` is MuJoCo's geom size of a plain shape, else None."""
+
+    placed: Placed
+    size: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Arrangement:
+    """Everything on the table: objects by name, plain shapes by number."""
+
+    objects: dict[str, Thing]
+    shapes: dict[int, Thing]
+
+    def rotated(self, centre: np.ndarray, angle: float) -> Arrangement:
+        """All of it turned by ``angle`` about ``centre`` (2,)."""
+
+        def turn(thing: Thing) -> Thing:
+            return replace(thing, placed=thing.placed.rotated(centre, angle))
+
+        return Arrangement(
+            {name: turn(thing) for name, thing in self.objects.items()},
+            {i: turn(thing) for i, thing in self.shapes.items()},
+        )
+
+    def placed(self) -> list[Placed]:
+        """All things."""
+        return [t.placed for t in (*self.objects.values(), *self.shapes.values())]
+
+
+def arrange(
+    scene: Scene,
+    rng: np.random.Generator,
+    target: str,
+    resting: Mapping[str, list[Resting]],
+    camera: CameraRange,
+    T_cam_world: np.ndarray | None,
+) -> tuple[Arrangement, np.ndarray, float]:
+    """Arranges the table and places the reference camera; the scene then shows the result.
+
+    Args:
+        scene: shows arrangements and measures visibility.
+        rng: decides everything.
+        target: name of the target.
+        resting: for each object the ways it rests.
+        camera: where the reference camera may stand.
+        T_cam_world: the camera if it is given, (4, 4).
+
+    Returns:
+        The arrangement, the camera and the target's visibility in it.
+    """
+    search = _Search(scene, rng, target, resting, camera, T_cam_world)
+    if scene.config.kind == "linemod":
+        return search.in_full_view()
+    return search.hidden()
+
+
+class _Search:
+    def __init__(
+        self,
+        scene: Scene,
+        rng: np.random.Generator,
+        target: str,
+        resting: Mapping[str, list[Resting]],
+        camera: CameraRange,
+        T_cam_world: np.ndarray | None,
+    ) -> None:
+        self.scene, self.rng, self.target, self.resting = scene, rng, target, resting
+        self.range, self.given = camera, T_cam_world
+        self.config = scene.config
+        self.vertices = scene.objects[target].vertices
+        self.best: tuple[float, Arrangement, np.ndarray, float] | None = None
+
+    def in_full_view(self) -> tuple[Arrangement, np.ndarray, float]:
+        """LineMOD: mostly 0.9 and more of the target is seen, never less than half if avoidable."""
+        least = 0.9 if self.rng.uniform() < 0.9 else 0.5
+        for _ in range(4):
+            arrangement = self.scatter(nearest=(0.1, 0.4))
+            T = self.place_camera(arrangement)
+            if self.try_rotations(arrangement, T, 4, lambda v: max(0.0, least - v), 1e-9):
+                break
+        return self.result()
+
+    def hidden(self) -> tuple[Arrangement, np.ndarray, float]:
+        """LM-O: a wished visibility, approached by turning the table, then by an occluder."""
+        wish = float(np.interp(self.rng.uniform(), *LMO_VISIBILITY))
+        low = self.range.elevation[0]
+        top = min(self.range.elevation[1], max(low, np.deg2rad(35.0 + 50.0 * wish)))
+        self.range = replace(self.range, elevation=(low, top))
+
+        def miss(visibility: float) -> float:
+            return abs(visibility - wish)
+
+        for _ in range(3):
+            arrangement = self.scatter(nearest=(0.0, 0.25))
+            T = self.place_camera(arrangement)
+            if self.try_rotations(arrangement, T, _ROTATIONS, miss, _TOLERANCE):
+                break
+            if self.slide_occluder(T, wish):
+                break
+        return self.result()
+
+    def result(self) -> tuple[Arrangement, np.ndarray, float]:
+        assert self.best is not None
+        _, arrangement, T_cam_world, visibility = self.best
+        self.scene.show(arrangement)
+        return arrangement, T_cam_world, visibility
+
+    def scatter(self, nearest: tuple[float, float]) -> Arrangement:
+        """Puts the target near the table's middle and clutter around it."""
+        rng, config = self.rng, self.config
+        xy = rng.uniform(-0.12, 0.12, 2)
+        rest = self.draw_rest(self.target, config.upright_probability)
+        placed = Placed(rest, xy, rng.uniform(-np.pi, np.pi))
+        objects, shapes = {self.target: Thing(placed)}, {}
+        all_placed = [placed]
+        others = [name for name in self.resting if name != self.target]
+        count = min(
+            len(others), int(rng.integers(config.object_count[0], config.object_count[1] + 1))
+        )
+        for k in rng.permutation(len(others))[:count]:
+            rest = self.draw_rest(others[k], config.clutter_upright_probability)
+            fitted = pack(rng, rest, all_placed, xy, rng.uniform(*nearest), TABLE_HALF)
+            if fitted is not None:
+                objects[others[k]] = Thing(fitted)
+                all_placed.append(fitted)
+        count = int(rng.integers(config.shape_count[0], config.shape_count[1] + 1))
+        for k in rng.permutation(len(SHAPE_KINDS))[:count]:
+            size = draw_size(rng, SHAPE_KINDS[k])
+            rest = resting_shape(SHAPE_KINDS[k], size)
+            fitted = pack(rng, rest, all_placed, xy, rng.uniform(*nearest), TABLE_HALF)
+            if fitted is not None:
+                shapes[int(k)] = Thing(fitted, size)
+                all_placed.append(fitted)
+        return Arrangement(objects, shapes)
+
+    def draw_rest(self, name: str, upright: float) -> Resting:
+        """Upright with this probability, else any of the other ways it rests."""
+        ways = self.resting[name]
+        if len(ways) == 1 or self.rng.uniform() < upright:
+            return ways[0]
+        return ways[1 + self.rng.integers(len(ways) - 1)]
+
+    def place_camera(self, arrangement: Arrangement) -> np.ndarray:
+        """A reference camera whose picture holds the whole target."""
+        if self.given is not None:
+            return self.given
+        placed = arrangement.objects[self.target].placed
+        centre = np.append(placed.xy, placed.resting.height / 2)
+        points = transform(placed.T_world_obj, self.vertices)
+        height, width = LINEMOD_IMAGE_SIZE
+        best, best_outside = None, np.inf
+        for _ in range(10):
+            T = self.range.sample(self.rng, centre)
+            uv = project(transform(T, points), LINEMOD_K)
+            outside = float(np.mean((uv < 2) | (uv > (width - 3, height - 3))))
+            if outside < best_outside:
+                best, best_outside = T, outside
+            if outside == 0:
+                break
+        assert best is not None
+        return best
+
+    def try_rotations(
+        self,
+        arrangement: Arrangement,
+        T_cam_world: np.ndarray,
+        count: int,
+        miss,
+        enough: float,
+    ) -> bool:
+        """Turns the table under the camera in steps; whether one comes near enough."""
+        centre = arrangement.objects[self.target].placed.xy
+        start = self.rng.uniform(-np.pi, np.pi)
+        for k in range(count):
+            turned = arrangement.rotated(centre, start + 2 * np.pi * k / count)
+            if not all(on_table(p, TABLE_HALF) for p in turned.placed()):
+                continue
+            if self.measure(turned, T_cam_world, miss) <= enough:
+                return True
+        if self.best is None:
+            self.measure(arrangement, T_cam_world, miss)
+        return False
+
+    def slide_occluder(self, T_cam_world: np.ndarray, wish: float) -> bool:
+        """Bisects the sideways place of a box between camera and target."""
+        return False
+
+    def measure(self, arrangement: Arrangement, T_cam_world: np.ndarray, miss) -> float:
+        """Shows an arrangement, measures it and keeps it if it is the best so far."""
+        self.scene.show(arrangement)
+        T_world_obj = arrangement.objects[self.target].placed.T_world_obj
+        points = transform(T_cam_world @ T_world_obj, self.vertices)
+        uv = project(points[points[:, 2] > 0.05], LINEMOD_K)
+        if len(uv) == 0:
+            visibility = 0.0
+        else:
+            low, high = uv.min(axis=0), uv.max(axis=0)
+            side = 1.06 * float((high - low).max()) + 2.0
+            K = crop_matrix((low + high) / 2, side, PROBE_SIZE) @ LINEMOD_K
+            visibility = self.scene.visibility(self.target, T_cam_world, K, PROBE_SIZE)
+        missed = miss(visibility)
+        if self.best is None or missed < self.best[0]:
+            self.best = (missed, arrangement, T_cam_world, visibility)
+        return missed
+
+
+def draw_size(rng: np.random.Generator, kind: str) -> np.ndarray:
+    """A plain shape's size as MuJoCo's geom size, (3,) metres."""
+    if kind == "box":
+        return rng.uniform((0.02, 0.02, 0.015), (0.08, 0.06, 0.1))
+    if kind == "cylinder":
+        return np.array([rng.uniform(0.02, 0.05), rng.uniform(0.015, 0.1), 0.0])
+    return np.array([rng.uniform(0.02, 0.05), 0.0, 0.0])
+
+
+__all__ = ["Arrangement", "Thing", "arrange", "draw_size", "free"]

@@ -1,0 +1,328 @@
+"""One episode of choosing a second view: scene, pictures, estimates, reward.
+
+The environments in ``two_view_pose.py`` differ from this only in what an action means.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+
+from ..assets import load_objects
+from ..assets.object_model import ObjectModel
+from ..pose_estimator.estimate import PoseEstimate
+from ..pose_estimator.geometry import (
+    LINEMOD_IMAGE_SIZE,
+    LINEMOD_K,
+    View,
+    check_rigid,
+    invert,
+)
+from ..pose_estimator.metrics import add_or_add_s
+from .camera import CameraRange
+from .carrier import Carrier, FreeFlyingCarrier, PoseNoise
+from .episode import Episode
+from .figure import Panel, comparison
+from .observation import Observation, SpherePosition, make_observation, observation_space
+from .options import ResetOptions
+from .protocol import PoseEstimator, check_known_objects, resolve_estimator
+from .randomization import Randomization
+from .renderer import SceneRenderer
+from .scene import Scene, SceneConfig
+from .sensor import apply_sensor
+from .window import Window
+
+CAMERA_RANGE = CameraRange()
+"""Where the camera may go around the object: 0.6 to 1.4 m, 7 to 82 degrees of elevation."""
+
+WORKSPACE_LOW, WORKSPACE_HIGH = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5, 0.4])
+"""Where on the table the object can be at all (world, metres); bounds the view sphere's centre."""
+
+IMAGE_SIZES = (36, 256)
+
+
+class ViewSelectionEnv(gym.Env[Observation, Any]):
+    """What all variants of Two-View Pose share; see ``TwoViewPoseEnv`` for the arguments.
+
+    A variant says what its actions are (``make_action_space``) and where they send the camera
+    (``camera_pose``).
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 1}
+
+    def __init__(
+        self,
+        *,
+        objects: Sequence[str | Path] | Mapping[str, ObjectModel] | str | Path | None = None,
+        scene: str | SceneConfig = "linemod",
+        estimator: str | PoseEstimator | None = "mid",
+        travel_weight: float = 0.05,
+        pose_noise: PoseNoise | tuple[float, float] | None = None,
+        randomization: Randomization | None = None,
+        image_size: int = 64,
+        resolution: tuple[int, int] = LINEMOD_IMAGE_SIZE,
+        carrier: Carrier | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(f"render_mode must be human, rgb_array or None, got {render_mode!r}")
+        if not IMAGE_SIZES[0] <= image_size <= IMAGE_SIZES[1]:
+            raise ValueError(
+                f"image_size must be {IMAGE_SIZES[0]} to {IMAGE_SIZES[1]} pixels, got {image_size}"
+            )
+        if not (np.isfinite(travel_weight) and travel_weight >= 0):
+            raise ValueError(f"travel_weight must be a number of at least 0, got {travel_weight}")
+        self.render_mode = render_mode
+        self._travel_weight = float(travel_weight)
+        self._pose_noise = PoseNoise.of(pose_noise)
+        self._carrier = FreeFlyingCarrier() if carrier is None else carrier
+        self._resolution, self._K = resolution, _scaled_intrinsics(resolution)
+        self._objects = dict(objects) if isinstance(objects, Mapping) else load_objects(objects)
+        self._names = tuple(self._objects)
+        self._estimator = resolve_estimator(estimator)
+        check_known_objects(self._estimator, self._names)
+        config = SceneConfig(kind=scene) if isinstance(scene, str) else scene
+        self._randomization = Randomization() if randomization is None else randomization
+        self._scene = Scene(self._objects, config, self._randomization)
+        self._renderer = SceneRenderer(self._scene, *resolution)
+        self._window = Window("Two-View Pose")
+        self._episode: Episode | None = None
+        self.observation_space: spaces.Dict = observation_space(len(self._names), image_size)
+        self.action_space: spaces.Space[Any] = self.make_action_space()
+
+    @abstractmethod
+    def make_action_space(self) -> spaces.Space[Any]:
+        """What an action of this variant is."""
+
+    @abstractmethod
+    def camera_pose(self, action: Any) -> np.ndarray:
+        """Where an action would send the camera now: T_cam_world (4, 4).
+
+        Raises:
+            ValueError: if the action is not in the action space.
+        """
+
+    @property
+    def object_names(self) -> tuple[str, ...]:
+        """The objects, in the order of the observation's one-hot."""
+        return self._names
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """What the estimator has been given in this episode, the reference view first."""
+        return tuple(self._running().views)
+
+    @property
+    def reference_position(self) -> SpherePosition:
+        """The reference camera as seen from the middle of the view sphere."""
+        episode = self._running()
+        return SpherePosition.of(episode.cameras[0], self.sphere_centre)
+
+    @property
+    def sphere_centre(self) -> np.ndarray:
+        """The middle of the view sphere, (3,), world: where the object is estimated to be.
+
+        It is kept within the part of the table where objects stand. Without an estimator it is
+        where the reference camera's optical axis meets the table.
+        """
+        episode = self._running()
+        T_world_cam = invert(episode.cameras[0])
+        if episode.estimates:
+            centre = (T_world_cam @ episode.estimates[0].T_cam_obj)[:3, 3]
+        else:
+            origin, axis = T_world_cam[:3, 3], T_world_cam[:3, 2]
+            centre = origin + axis * (origin[2] / max(-axis[2], 1e-3))
+        return np.clip(centre, WORKSPACE_LOW, WORKSPACE_HIGH)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Draws a scene, takes the reference view and estimates the first pose from it.
+
+        Args:
+            seed: starts the environment's random numbers anew.
+            options: ``object``, ``scene_seed`` and ``reference_camera``, each optional (see the
+                class).
+
+        Raises:
+            ValueError: if an option is unknown or not allowed.
+        """
+        super().reset(seed=seed)
+        chosen = ResetOptions.parse(options, self._names, self._scene.config.camera)
+        drawn_seed = int(self.np_random.integers(2**31))
+        scene_seed = drawn_seed if chosen.scene_seed is None else chosen.scene_seed
+        # One stream for each purpose, so that what one of them draws never moves another.
+        scene_rng, noise_rng, *sensor_rngs = np.random.default_rng(scene_seed).spawn(4)
+        drawn_name = self._names[int(scene_rng.integers(len(self._names)))]
+        name = drawn_name if chosen.object is None else chosen.object
+        state = self._scene.reset(scene_rng, name, chosen.reference_camera)
+        self._episode = Episode(
+            scene_seed=scene_seed,
+            object_name=name,
+            T_world_obj=state.T_world_obj[name],
+            visibility=float(state.visibility),
+            noise_rng=noise_rng,
+            sensor_rngs=sensor_rngs,
+        )
+        self._carrier.place(state.T_cam_world)
+        self._look(state.T_cam_world)
+        if self.render_mode == "human":
+            self.render()
+        return self._observation(), self._info()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Takes the second view and estimates the pose from both; the episode ends.
+
+        Raises:
+            ValueError: if the action is NaN or out of the action space.
+            ResetNeeded: if the episode has ended.
+        """
+        episode = self._running()
+        if episode.ended:
+            raise ResetNeeded("the episode ended with its second view: call reset() first")
+        motion = self._carrier.move(self.camera_pose(action))
+        episode.travel += motion.travel
+        self._look(motion.T_cam_world)
+        episode.ended = True
+        if self.render_mode == "human":
+            self.render()
+        return self._observation(), self._reward(), True, False, self._info()
+
+    def render(self) -> np.ndarray | None:
+        """The picture of the episode, RGB uint8 (664, 1360, 3); None if it is shown in a window.
+
+        Raises:
+            ResetNeeded: if there is no episode yet.
+        """
+        if self.render_mode is None:
+            gym.logger.warn('render() draws nothing unless render_mode is "rgb_array" or "human"')
+            return None
+        frame = self.figure()
+        if self.render_mode == "human":
+            self._window.show(frame)
+            return None
+        return frame
+
+    def figure(self) -> np.ndarray:
+        """Both views with the true and the estimated outlines, in any render mode.
+
+        Returns:
+            RGB uint8, (664, 1360, 3).
+        """
+        episode = self._running()
+        model = self._objects[episode.object_name]
+        panels = [self._panel(i) for i in range(len(episode.views))]
+        return comparison(model, panels[0], panels[-1] if len(panels) > 1 else None)
+
+    def close(self) -> None:
+        """Frees the GL context and the window; may be called again."""
+        self._renderer.close()
+        self._window.close()
+
+    def _running(self) -> Episode:
+        if self._episode is None:
+            raise ResetNeeded("there is no episode yet: call reset() first")
+        return self._episode
+
+    def _look(self, T_cam_world: np.ndarray) -> None:
+        """Takes a picture from ``T_cam_world`` and estimates the pose from all views so far."""
+        episode = self._running()
+        index = len(episode.views)
+        picture = self._renderer.render(T_cam_world, self._K).rgb
+        picture = apply_sensor(picture, self._randomization.sensor, episode.sensor_rngs[index])
+        told = T_cam_world  # the noise is in the relative pose, so the first view has none
+        if index > 0:
+            told = self._pose_noise.perturb(T_cam_world, episode.noise_rng)
+        episode.cameras.append(T_cam_world)
+        episode.views.append(View(picture, self._K, told))
+        if self._estimator is not None:
+            estimate = self._estimator.estimate(tuple(episode.views), episode.object_name)
+            check_rigid(estimate.T_cam_obj, "the estimator's T_cam_obj")
+            model = self._objects[episode.object_name]
+            error = add_or_add_s(estimate.T_cam_obj, episode.T_cam_obj_true(0), model)
+            episode.estimates.append(estimate)
+            episode.errors.append(error)
+
+    def _reward(self) -> float:
+        episode = self._running()
+        cost = self._travel_weight * episode.travel
+        if not episode.errors:
+            return -cost
+        diameter = self._objects[episode.object_name].diameter
+        return float(-min(episode.errors[-1] / diameter, 1.0) - cost)
+
+    def _observation(self) -> Observation:
+        episode = self._running()
+        return make_observation(
+            self.observation_space,
+            episode.estimates[-1] if episode.estimates else None,
+            episode.views[0].image,
+            SpherePosition.of(episode.cameras[-1], self.sphere_centre),
+            self.reference_position.azimuth,
+            self._names.index(episode.object_name),
+        )
+
+    def _info(self) -> dict[str, Any]:
+        episode = self._running()
+        model = self._objects[episode.object_name]
+        estimate: PoseEstimate | None = episode.estimates[-1] if episode.estimates else None
+        truth: dict[str, Any] = {
+            "T_cam_obj": episode.T_cam_obj_true(0),
+            "visibility": episode.visibility,
+        }
+        for key, error in zip(("add_first", "add_second"), episode.errors, strict=False):
+            truth[key] = error
+            truth["success"] = bool(error < 0.1 * model.diameter)
+        return {
+            "object": episode.object_name,
+            "diameter": float(model.diameter),
+            "scene_seed": episode.scene_seed,
+            "T_cam_world": episode.cameras[-1].copy(),
+            "T_cam_obj": np.zeros((4, 4)) if estimate is None else estimate.T_cam_obj.copy(),
+            "travel": episode.travel,
+            "baseline_deg": episode.baseline_deg(self.sphere_centre),
+            "ground_truth": truth,
+        }
+
+    def _panel(self, index: int) -> Panel:
+        episode = self._running()
+        estimated = bool(episode.estimates)
+        title, note = "Reference view", "pose from this view alone" if estimated else ""
+        if index > 0:
+            angle = episode.baseline_deg(self.sphere_centre)
+            title = "Second view"
+            note = f"{angle:.0f}° from the first, camera moved {episode.travel:.2f} m"
+        relative = episode.cameras[index] @ invert(episode.cameras[0])
+        return Panel(
+            title,
+            note,
+            episode.views[index].image,
+            self._K,
+            T_cam_obj_true=episode.T_cam_obj_true(index),
+            T_cam_obj_estimate=relative @ episode.estimates[index].T_cam_obj if estimated else None,
+            add=episode.errors[index] if estimated else None,
+        )
+
+
+def _scaled_intrinsics(resolution: tuple[int, int]) -> np.ndarray:
+    """LineMOD's camera matrix for pictures of another size (height, width).
+
+    Raises:
+        ValueError: if the size is not in LineMOD's proportion of 3 to 4.
+    """
+    height, width = resolution
+    scale = height / LINEMOD_IMAGE_SIZE[0]
+    if height < 1 or width != round(LINEMOD_IMAGE_SIZE[1] * scale):
+        raise ValueError(
+            f"resolution must be (height, width) in the proportion 3 to 4, got {resolution}"
+        )
+    A = np.diag([scale, scale, 1.0])
+    A[:2, 2] = (scale - 1) / 2
+    return A @ LINEMOD_K

@@ -1,0 +1,55 @@
+"""What is remembered of one episode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..pose_estimator.estimate import PoseEstimate
+from ..pose_estimator.geometry import View
+from .carrier import camera_centre
+
+
+@dataclass(eq=False)
+class Episode:
+    """One target in one scene, and the views of it so far.
+
+    Attributes:
+        scene_seed: everything drawn in the episode follows from it.
+        object_name: the target.
+        T_world_obj: its true pose, (4, 4).
+        visibility: visible fraction of the target in the reference view.
+        noise_rng: draws the error of the camera poses that the estimator is told.
+        sensor_rngs: draw the sensor's noise, one generator a view.
+        cameras: true T_cam_world of each view, (4, 4).
+        views: what the estimator was given, the reference view first.
+        estimates: the answer after each view; empty without an estimator.
+        errors: ADD(-S) of each estimate, metres.
+        travel: how far the camera has moved since the reference view, metres.
+        ended: whether the last view has been taken.
+    """
+
+    scene_seed: int
+    object_name: str
+    T_world_obj: np.ndarray
+    visibility: float
+    noise_rng: np.random.Generator
+    sensor_rngs: Sequence[np.random.Generator]
+    cameras: list[np.ndarray] = field(default_factory=list)
+    views: list[View] = field(default_factory=list)
+    estimates: list[PoseEstimate] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
+    travel: float = 0.0
+    ended: bool = False
+
+    def T_cam_obj_true(self, index: int) -> np.ndarray:
+        """The true pose in the camera of a view, (4, 4), a new array."""
+        return self.cameras[index] @ self.T_world_obj
+
+    def baseline_deg(self, centre: np.ndarray) -> float:
+        """Angle at ``centre`` (3,) between the directions to the first and the newest camera."""
+        first, last = (camera_centre(self.cameras[i]) - centre for i in (0, -1))
+        sine, cosine = np.linalg.norm(np.cross(first, last)), first @ last
+        return float(np.rad2deg(np.arctan2(sine, cosine)))

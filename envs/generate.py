@@ -1,0 +1,199 @@
+"""Renders scenes for training and testing estimators, and writes them in BOP format.
+
+One BOP scene is one arrangement of objects, seen by several cameras: the first is the reference
+view, the others stand 10 to 75 degrees from it around the target. What a scene holds depends only
+on the seed and its number, so neither the number of workers nor a restart changes a byte.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import platform
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from .scene_writer import SceneMaker
+
+QUIET_THREADS = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "LP_NUM_THREADS": "0",  # llvmpipe draws in the worker itself: workers are the parallelism
+}
+"""What the workers' environment says unless the caller's own says otherwise."""
+
+
+@dataclass(frozen=True)
+class GenerateConfig:
+    """Renders paired training or test data and writes it in BOP format.
+
+    A run that was killed is finished by the same command. The folder can be read by anything that
+    reads BOP, and by ``train-estimator --data`` and ``evaluate --data``.
+    """
+
+    out: Path
+    """Folder of the dataset; made where missing."""
+    scenes: int = 100
+    """How many scenes (arrangements of objects)."""
+    views: int = 4
+    """Pictures of each scene; the first is the reference view."""
+    objects: tuple[str, ...] = ()
+    """Names of our objects, mesh files or folders of them; empty: all thirteen. Each is the target
+    equally often."""
+    scene: Literal["linemod", "occlusion", "mixed"] = "mixed"
+    """Light clutter, heavy clutter, or both by turns."""
+    split: str = "train_pbr"
+    """Name of the split's folder."""
+    seed: int = 0
+    """Same seed, same bytes; test data needs another seed than training data."""
+    workers: int = 2
+    """Processes that render."""
+    width: int = 640
+    """Width of the pictures in pixels; the camera is LineMOD's, scaled."""
+    height: int = 480
+    """Height of the pictures in pixels."""
+    view_angles: tuple[float, float] = (10.0, 75.0)
+    """Smallest and largest angle in degrees between the reference view and another, seen from the
+    target."""
+    pair_angles: tuple[float, float] = (10.0, 60.0)
+    """Angles in degrees of the pairs that two_view_pairs.json lists."""
+    depth: bool = False
+    """Also write depth maps (16-bit PNG)."""
+    masks: bool = True
+    """Also write masks of the objects' visible pixels."""
+    jpeg_quality: int = 92
+    """Quality of the JPEG pictures, 1 to 100; 0 writes PNG."""
+    randomize: bool = True
+    """Random lights, textures, materials and sensor; otherwise one neutral look."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("scenes", 1), ("views", 1), ("workers", 1), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)}")
+        for name in ("width", "height"):
+            if not 16 <= getattr(self, name) <= 4096:
+                raise ValueError(f"{name} must be 16 to 4096 pixels, got {getattr(self, name)}")
+        for name in ("view_angles", "pair_angles"):
+            low, high = getattr(self, name)
+            if not 0 <= low <= high <= 150:
+                raise ValueError(f"{name} must rise within 0 to 150 degrees, got {(low, high)}")
+        if self.scene not in ("linemod", "occlusion", "mixed"):
+            raise ValueError(f"scene must be linemod, occlusion or mixed, got {self.scene!r}")
+        if not 0 <= self.jpeg_quality <= 100:
+            raise ValueError(f"jpeg_quality must be 0 to 100, got {self.jpeg_quality}")
+        if not self.split or Path(self.split).name != self.split:
+            raise ValueError(f"split must be the name of a folder, got {self.split!r}")
+
+
+def generate(config: GenerateConfig) -> None:
+    """Renders the scenes that are missing, then writes models, camera and pairs.
+
+    Raises:
+        ValueError: if the folder holds a dataset that was made with other settings, or an object
+            is unknown.
+        GraphicsUnavailable: if there is no OpenGL to draw with.
+    """
+    from ..assets import load_objects
+    from ..pose_estimator.bop_writer import scene_folder, write_camera, write_models, write_pairs
+    from .scene_writer import scaled_intrinsics, two_view_pairs
+
+    objects = load_objects(config.objects or None)
+    _claim_folder(config, tuple(objects))
+    write_models(config.out, objects.values())
+    write_camera(
+        config.out, scaled_intrinsics(config.height, config.width), (config.height, config.width)
+    )
+    missing = [
+        scene_id
+        for scene_id in range(config.scenes)
+        if not scene_folder(config.out, config.split, scene_id).exists()
+    ]
+    with tqdm(total=config.scenes, initial=config.scenes - len(missing), unit="scene") as bar:
+        for _ in _make_scenes(config, missing):
+            bar.update()
+    write_pairs(config.out / "two_view_pairs.json", two_view_pairs(config))
+    frames = config.scenes * config.views
+    print(f"{frames} pictures of {config.scenes} scenes in {config.out / config.split}")
+
+
+def _claim_folder(config: GenerateConfig, object_names: tuple[str, ...]) -> None:
+    """Writes manifest.json, or checks that the one that is there says the same."""
+    from ..pose_estimator.bop_writer import write_json
+
+    settings = asdict(config) | {"objects": object_names}
+    for name in ("out", "workers", "scenes"):  # none of these changes what a scene looks like
+        del settings[name]
+    settings = json.loads(json.dumps(settings))
+    path = config.out / "manifest.json"
+    if path.exists():
+        before = json.loads(path.read_text())["settings"]
+        changed = [k for k in settings if before.get(k) != settings[k]]
+        if changed:
+            raise ValueError(
+                f"{config.out} holds a dataset with other settings: "
+                + ", ".join(
+                    f"{k} is {before.get(k)!r} there, {settings[k]!r} here" for k in changed
+                )
+            )
+    config.out.mkdir(parents=True, exist_ok=True)
+    packages = ("mujoco", "numpy", "opencv-python-headless", "scipy")
+    versions: dict[str, Any] = {name: version(name) for name in packages}
+    versions |= {"python": platform.python_version(), "two-view-pose": version("two-view-pose")}
+    write_json(path, {"settings": settings, "scenes": config.scenes, "versions": versions})
+
+
+def _make_scenes(config: GenerateConfig, scene_ids: list[int]) -> Iterator[int]:
+    """Makes the scenes and yields the number of each that is ready."""
+    if config.workers == 1 or len(scene_ids) < 2:
+        from .scene_writer import SceneMaker
+
+        with SceneMaker(config) as maker:
+            for scene_id in scene_ids:
+                maker.make(scene_id)
+                yield scene_id
+        return
+    added = {k: v for k, v in QUIET_THREADS.items() if k not in os.environ}
+    os.environ.update(added)  # the workers inherit it
+    pool = ProcessPoolExecutor(
+        min(config.workers, len(scene_ids)),
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_start_worker,
+        initargs=(config,),
+    )
+    try:
+        futures: dict[Future[None], int] = {pool.submit(_make_one, i): i for i in scene_ids}
+        for future in as_completed(futures):
+            future.result()
+            yield futures[future]
+    finally:
+        pool.shutdown(cancel_futures=True)
+        for name in added:
+            del os.environ[name]
+
+
+_maker: SceneMaker | None = None
+
+
+def _start_worker(config: GenerateConfig) -> None:
+    """In a worker: makes ready to make scenes."""
+    global _maker
+    import cv2
+
+    from .scene_writer import SceneMaker
+
+    cv2.setNumThreads(1)
+    _maker = SceneMaker(config)
+
+
+def _make_one(scene_id: int) -> None:
+    assert _maker is not None
+    _maker.make(scene_id)

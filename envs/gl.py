@@ -1,0 +1,77 @@
+"""Chooses how to draw without a screen: EGL where it works, else OSMesa.
+
+``MUJOCO_GL`` decides where it is set. PyOpenGL binds itself to one platform when it is first
+imported, so nothing here imports it before the first picture is wanted.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import platform
+import sys
+from typing import Any
+
+INSTALL_HINT = "apt-get install -y libegl1 libgl1-mesa-dri   (or: apt-get install -y libosmesa6)"
+
+_backend: str | None = None
+
+
+class GraphicsUnavailable(RuntimeError):
+    """No OpenGL library that draws without a screen was found; the message says what to install."""
+
+
+def backend() -> str | None:
+    """The back-end in use ("egl", "osmesa", ...), or None before the first picture."""
+    return _backend
+
+
+def open_context(width: int, height: int) -> Any:
+    """Opens a GL context of MuJoCo's (it has ``make_current`` and ``free``).
+
+    Args:
+        width: width in pixels of the largest picture (OSMesa needs to know).
+        height: its height.
+
+    Raises:
+        GraphicsUnavailable: if no back-end works, or the one that MUJOCO_GL names does not.
+    """
+    global _backend
+    wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
+    candidates: tuple[str, ...]
+    if _backend is not None:
+        candidates = (_backend,)
+    elif wanted in ("disable", "disabled", "off", "false", "0"):
+        raise GraphicsUnavailable(f"MUJOCO_GL={wanted} switches rendering off; unset it")
+    elif platform.system() != "Linux":
+        candidates = ("gl_context",)
+    elif wanted in ("egl", "osmesa"):
+        candidates = (wanted,)
+    elif wanted in ("glfw", "glx"):
+        candidates = ("glfw",)
+    else:
+        candidates = ("egl", "osmesa")
+    reasons = []
+    for name in candidates:
+        try:
+            context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
+            context.make_current()
+        except Exception as error:  # PyOpenGL fails in many ways: each means "not this one"
+            reasons.append(f"{name}: {type(error).__name__}: {str(error).strip()[:200]}")
+            if _backend is None:
+                _forget_platform()
+        else:
+            _backend = name
+            return context
+    raise GraphicsUnavailable(
+        f"no OpenGL that draws without a screen. Install one: {INSTALL_HINT}. Tried "
+        + "; ".join(reasons)
+    )
+
+
+def _forget_platform() -> None:
+    """Lets PyOpenGL choose its platform anew at the next import."""
+    os.environ.pop("PYOPENGL_PLATFORM", None)
+    for name in list(sys.modules):
+        if name.split(".")[0] == "OpenGL" or name.startswith(("mujoco.egl", "mujoco.osmesa")):
+            del sys.modules[name]

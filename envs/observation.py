@@ -1,0 +1,160 @@
+"""What the agent sees: the observation space and how an observation is made.
+
+Everything comes from the estimate, the reference picture and the robot's own camera poses; ground
+truth has no way in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from gymnasium import spaces
+
+from ..pose_estimator.estimate import PoseEstimate
+from ..pose_estimator.geometry import crop_matrix, invert, rotation_to_6d
+
+KEYPOINTS = 9
+UNCERTAINTY_UNIT = 0.01
+"""Keypoint uncertainty is log10 of its standard deviation over this many metres."""
+
+# Bounds beyond which a value is clipped: a hopeless estimate must not leave the space.
+_TRANSLATION_LOW = np.array([-1.0, -1.0, 0.0], dtype=np.float32)
+_TRANSLATION_HIGH = np.array([1.0, 1.0, 3.0], dtype=np.float32)
+_CAMERA_LOW = np.array([0.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0], dtype=np.float32)
+_CAMERA_HIGH = np.array([3.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0], dtype=np.float32)
+_UNCERTAINTY_LIMIT = 2.0
+
+Observation = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class SpherePosition:
+    """A camera pose as seen from the middle of a view sphere.
+
+    Attributes:
+        distance: from the middle to the camera's centre, metres.
+        azimuth: about the world's z axis, radians, 0 along +x.
+        elevation: above the horizontal through the middle, radians.
+        roll: of the picture about the optical axis, radians; 0 when its rows are horizontal.
+    """
+
+    distance: float
+    azimuth: float
+    elevation: float
+    roll: float
+
+    @classmethod
+    def of(cls, T_cam_world: np.ndarray, centre: np.ndarray) -> SpherePosition:
+        """Reads a camera pose (4, 4) as seen from ``centre`` (3,), metres in the world."""
+        T_world_cam = invert(T_cam_world)
+        x, y, z = T_world_cam[:3, 3] - centre
+        right, down = T_world_cam[:3, 0], T_world_cam[:3, 1]
+        return cls(
+            distance=float(np.linalg.norm((x, y, z))),
+            azimuth=float(np.arctan2(y, x)),
+            elevation=float(np.arctan2(z, np.hypot(x, y))),
+            roll=float(np.arctan2(-right[2], -down[2])),
+        )
+
+
+def observation_space(object_count: int, image_size: int) -> spaces.Dict:
+    """The space of ``make_observation``'s dictionaries (see ``TwoViewPoseEnv``)."""
+
+    def box(low: float | np.ndarray, high: float | np.ndarray, size: int) -> spaces.Box:
+        return spaces.Box(low, high, (size,), np.float32)
+
+    return spaces.Dict(
+        {
+            "rotation": box(-1.0, 1.0, 6),
+            "translation": box(_TRANSLATION_LOW, _TRANSLATION_HIGH, 3),
+            "uncertainty": box(-_UNCERTAINTY_LIMIT, _UNCERTAINTY_LIMIT, KEYPOINTS),
+            "score": box(0.0, 1.0, 1),
+            "object": box(0.0, 1.0, object_count),
+            "camera": box(_CAMERA_LOW, _CAMERA_HIGH, 7),
+            "image": spaces.Box(0, 255, (image_size, image_size, 3), np.uint8),
+        }
+    )
+
+
+def make_observation(
+    space: spaces.Dict,
+    estimate: PoseEstimate | None,
+    reference_image: np.ndarray,
+    camera: SpherePosition,
+    reference_azimuth: float,
+    object_index: int,
+) -> Observation:
+    """Builds one observation, every array new and within ``space``.
+
+    Args:
+        space: from ``observation_space``.
+        estimate: the newest estimate; None leaves its fields zero and crops the picture's middle.
+        reference_image: RGB uint8, (H, W, 3).
+        camera: the newest camera pose, seen from the estimated object.
+        reference_azimuth: azimuth of the reference camera, radians.
+        object_index: which object is the target.
+    """
+    one_hot = np.zeros(space["object"].shape)
+    one_hot[object_index] = 1.0
+    azimuth = camera.azimuth - reference_azimuth
+    values = {
+        "rotation": np.zeros(6),
+        "translation": np.zeros(3),
+        "uncertainty": np.zeros(KEYPOINTS),
+        "score": np.zeros(1),
+        "object": one_hot,
+        "camera": np.array(
+            [
+                camera.distance,
+                *_sin_cos(camera.elevation),
+                *_sin_cos(azimuth),
+                *_sin_cos(camera.roll),
+            ]
+        ),
+    }
+    if estimate is not None:
+        values["rotation"] = rotation_to_6d(estimate.T_cam_obj[:3, :3])
+        values["translation"] = estimate.T_cam_obj[:3, 3]
+        values["uncertainty"] = _log_uncertainty(estimate.keypoint_covariance)
+        values["score"] = np.array([estimate.rois[0].score if estimate.rois else 0.0])
+    observation = {
+        key: np.clip(value, space[key].low, space[key].high).astype(np.float32)
+        for key, value in values.items()
+    }
+    observation["image"] = _crop(reference_image, estimate, space["image"].shape[0])
+    return observation
+
+
+def _sin_cos(angle: float) -> Sequence[float]:
+    return np.sin(angle), np.cos(angle)
+
+
+def _log_uncertainty(covariance: np.ndarray) -> np.ndarray:
+    """log10 of each keypoint's standard deviation over 1 cm, (9,); not a number counts as huge."""
+    variance = np.trace(np.asarray(covariance, dtype=np.float64), axis1=1, axis2=2)
+    deviation = np.sqrt(np.clip(np.nan_to_num(variance, nan=np.inf), 1e-12, 1e12))
+    return np.log10(deviation / UNCERTAINTY_UNIT)
+
+
+def _crop(image: np.ndarray, estimate: PoseEstimate | None, size: int) -> np.ndarray:
+    """The reference picture around the detection, (size, size, 3); grey outside the frame."""
+    height, width = image.shape[:2]
+    centre, side = np.array([(width - 1) / 2, (height - 1) / 2]), float(min(height, width))
+    if estimate is not None and estimate.rois:
+        roi = estimate.rois[0]
+        if np.isfinite(roi.centre).all() and np.isfinite(roi.side):
+            centre, side = roi.centre, float(np.clip(roi.side, 8.0, 2.0 * width))
+    # warpAffine does not average when it shrinks: warp to a multiple of the size, then average.
+    factor = max(1, int(np.ceil(side / size)))
+    crop = cv2.warpAffine(
+        image,
+        crop_matrix(centre, side, size * factor)[:2],
+        (size * factor, size * factor),
+        flags=cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(127, 127, 127),
+    )
+    return crop if factor == 1 else cv2.resize(crop, (size, size), interpolation=cv2.INTER_AREA)

@@ -1,0 +1,130 @@
+"""Draws a posed object into a picture: its silhouette, its outline, an enlarged detail."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import cv2
+import numpy as np
+
+from ..assets.object_model import ObjectModel
+from ..pose_estimator.geometry import check_image, check_intrinsics, check_rigid, transform
+
+TRUE_COLOUR = (57, 190, 88)
+ESTIMATE_COLOUR = (255, 122, 26)
+
+_NEAR = 0.01  # metres; nearer faces are left out of a silhouette
+_SHIFT = 4  # cv2's fixed point: 1/16 of a pixel
+_LIMIT = 2**20 / 2**_SHIFT  # pixels; what lies further out is of no interest
+
+
+def silhouette(
+    model: ObjectModel, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
+) -> np.ndarray:
+    """Which pixels the object alone would cover.
+
+    Args:
+        model: the object.
+        T_cam_obj: object to OpenCV camera, (4, 4), metres.
+        K: camera matrix, (3, 3), pixels.
+        shape: height and width of the picture.
+
+    Returns:
+        Mask (height, width), uint8, 255 inside; empty where the object is behind the camera.
+
+    Raises:
+        ValueError: if the pose is not rigid or K is no camera matrix.
+    """
+    K = check_intrinsics(K)
+    vertices = transform(check_rigid(T_cam_obj, "T_cam_obj"), model.vertices)
+    mask = np.zeros(shape, dtype=np.uint8)
+    in_front = (vertices[:, 2] > _NEAR)[model.faces].all(axis=1)
+    uvw = vertices @ K.T
+    pixels = np.clip(uvw[:, :2] / np.maximum(uvw[:, 2:], _NEAR), -_LIMIT, _LIMIT)
+    triangles = pixels[model.faces[in_front]]
+    for triangle in np.round(triangles * 2**_SHIFT).astype(np.int32):
+        cv2.fillConvexPoly(mask, triangle, 255, cv2.LINE_8, _SHIFT)
+    return mask
+
+
+def outline(
+    model: ObjectModel, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
+) -> list[np.ndarray]:
+    """The contours of the object's silhouette, holes included.
+
+    Args:
+        model: the object.
+        T_cam_obj: object to OpenCV camera, (4, 4), metres.
+        K: camera matrix, (3, 3), pixels.
+        shape: height and width of the picture.
+
+    Returns:
+        Closed contours, each (N, 2) float64 pixels; none if the object is out of the picture.
+
+    Raises:
+        ValueError: if the pose is not rigid or K is no camera matrix.
+    """
+    # Contours run along pixel centres: rasterise finer, with a margin that the frame cuts off.
+    scale, margin = 3, 4
+    lift = np.array(
+        [
+            [scale, 0.0, scale * margin + (scale - 1) / 2],
+            [0.0, scale, scale * margin + (scale - 1) / 2],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    fine_shape = (scale * (shape[0] + 2 * margin), scale * (shape[1] + 2 * margin))
+    mask = silhouette(model, T_cam_obj, lift @ check_intrinsics(K), fine_shape)
+    contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    return [
+        (contour.reshape(-1, 2) - lift[:2, 2]) / scale for contour in contours if len(contour) > 8
+    ]
+
+
+def draw_outline(
+    image: np.ndarray,
+    contours: Sequence[np.ndarray],
+    colour: tuple[int, int, int],
+    thickness: int = 2,
+) -> np.ndarray:
+    """A copy of the picture with closed, anti-aliased contours on it.
+
+    Args:
+        image: RGB uint8, (H, W, 3).
+        contours: from ``outline``, each (N, 2) pixels.
+        colour: RGB, 0 to 255.
+        thickness: pixels.
+
+    Raises:
+        ValueError: if the image is not uint8 RGB.
+    """
+    canvas = np.ascontiguousarray(check_image(image)).copy()
+    polygons = [np.round(contour * 2**_SHIFT).astype(np.int32) for contour in contours]
+    if polygons:
+        cv2.polylines(canvas, polygons, True, colour, thickness, cv2.LINE_AA, _SHIFT)
+    return canvas
+
+
+def draw_poses(
+    image: np.ndarray,
+    model: ObjectModel,
+    poses: Mapping[tuple[int, int, int], np.ndarray],
+    K: np.ndarray,
+    thickness: int = 2,
+) -> np.ndarray:
+    """A copy of the picture with the object outlined in each pose.
+
+    Args:
+        image: RGB uint8, (H, W, 3).
+        model: the object.
+        poses: T_cam_obj (4, 4) by the RGB colour to draw it in; later ones lie on top.
+        K: camera matrix of the picture, (3, 3).
+        thickness: of the lines in pixels.
+
+    Raises:
+        ValueError: if the image is not uint8 RGB, a pose is not rigid or K is no camera matrix.
+    """
+    for colour, T_cam_obj in poses.items():
+        contours = outline(model, T_cam_obj, K, image.shape[:2])
+        image = draw_outline(image, contours, colour, thickness)
+    return image

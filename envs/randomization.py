@@ -1,0 +1,232 @@
+"""Domain randomisation: how much of a scene's look changes from episode to episode."""
+
+from __future__ import annotations
+
+import colorsys
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .sensor import SensorConfig
+from .textures import PATTERNS, procedural_texture
+from .world import LIGHTS, SHAPE_TEXTURE, SHAPE_TEXTURES, World
+
+_ROOM = {"table": 512, "wall": 256, "floor": 256}
+
+
+@dataclass(frozen=True)
+class Randomization:
+    """What changes between episodes, and by how much.
+
+    Attributes:
+        lights: fewest and most lamps, 1 to 3.
+        lamp_elevation: lowest and highest direction of a lamp seen from the table, radians.
+        lamp_power: dimmest and brightest sum of all lamps, as a fraction of white paper's white.
+        ambient: least and most light from everywhere, as the same fraction.
+        colour_temperature: how strongly lamps turn yellow or blue, 0 to 1.
+        shadow_probability: how often the first lamp casts shadows.
+        textures: whether table, walls, floor and plain shapes get new textures and colours.
+        table_patterns: patterns the table is drawn from.
+        texture_repeat: fewest and most repeats of the table's texture along its long side.
+        material_jitter: largest change of specularity and shininess, added.
+        brightness_jitter: largest change of an object's brightness, as a fraction.
+        hue_jitter: largest change of an object's single colour channels, as a fraction.
+        camera_roll: largest roll of the reference camera, radians.
+        look_at_noise: how far the reference camera's axis may pass the target, as the tangent of
+            the angle.
+        sensor: what the camera's sensor does to pictures.
+    """
+
+    lights: tuple[int, int] = (1, 3)
+    lamp_elevation: tuple[float, float] = (np.deg2rad(35.0), np.deg2rad(85.0))
+    lamp_power: tuple[float, float] = (0.45, 0.8)
+    ambient: tuple[float, float] = (0.25, 0.45)
+    colour_temperature: float = 0.12
+    shadow_probability: float = 0.7
+    textures: bool = True
+    table_patterns: tuple[str, ...] = PATTERNS
+    texture_repeat: tuple[float, float] = (1.0, 4.0)
+    material_jitter: float = 0.15
+    brightness_jitter: float = 0.12
+    hue_jitter: float = 0.04
+    camera_roll: float = np.deg2rad(12.0)
+    look_at_noise: float = 0.15
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.lights[0] <= self.lights[1] <= LIGHTS:
+            raise ValueError(f"lights must rise within 1 to {LIGHTS}, got {self.lights}")
+        for name in ("lamp_elevation", "lamp_power", "ambient", "texture_repeat"):
+            low, high = getattr(self, name)
+            if not 0 <= low <= high:
+                raise ValueError(f"{name} must be (lowest, highest), got {(low, high)}")
+        if not 0 <= self.shadow_probability <= 1:
+            raise ValueError(f"shadow_probability is {self.shadow_probability}, not in 0 to 1")
+        for pattern in self.table_patterns:
+            if pattern not in PATTERNS:
+                raise ValueError(f"table_patterns must be among {PATTERNS}, got {pattern!r}")
+        if self.textures and not self.table_patterns:
+            raise ValueError("table_patterns must name a pattern, or textures must be False")
+
+    @classmethod
+    def none(cls) -> Randomization:
+        """One neutral look: two lamps, shadows, a plain table, a level camera, a perfect sensor."""
+        return cls(
+            lights=(2, 2),
+            lamp_elevation=(np.deg2rad(60.0), np.deg2rad(60.0)),
+            lamp_power=(0.6, 0.6),
+            ambient=(0.35, 0.35),
+            colour_temperature=0.0,
+            shadow_probability=1.0,
+            textures=False,
+            material_jitter=0.0,
+            brightness_jitter=0.0,
+            hue_jitter=0.0,
+            camera_roll=0.0,
+            look_at_noise=0.0,
+            sensor=SensorConfig.none(),
+        )
+
+
+def apply_randomization(world: World, config: Randomization, rng: np.random.Generator) -> list[int]:
+    """Gives the world a new look in place.
+
+    Args:
+        world: what is changed: lights, materials and textures of its model.
+        config: by how much.
+        rng: where the look comes from.
+
+    Returns:
+        Ids of the textures that changed and must be uploaded again.
+    """
+    _set_lights(world, config, rng)
+    _set_objects(world, config, rng)
+    if config.textures:
+        return _set_textures(world, config, rng)
+    return []
+
+
+def neutral_look(world: World) -> list[int]:
+    """Plain colours for the room and the shapes, the look of :meth:`Randomization.none`.
+
+    Returns:
+        Ids of the textures that changed.
+    """
+    colours = {"table": (0.72, 0.70, 0.66), "wall": (0.80, 0.81, 0.80), "floor": (0.45, 0.42, 0.40)}
+    rng = np.random.default_rng(0)
+    changed = []
+    for name, size in _ROOM.items():
+        pair = np.array([colours[name], colours[name]]) * ((1.0,), (0.8,))
+        image = procedural_texture(rng, size, "noise" if name == "table" else "plain", pair)
+        changed.append(set_texture(world, name, image))
+    for i in range(SHAPE_TEXTURES):
+        changed.append(
+            set_texture(world, f"shape{i}", np.full((SHAPE_TEXTURE, SHAPE_TEXTURE, 3), 215, "u1"))
+        )
+    for i, material in enumerate(_shape_materials(world)):
+        hue = (0.61 * i) % 1.0
+        world.model.mat_rgba[material, :3] = colorsys.hsv_to_rgb(hue, 0.45, 0.75)
+    return changed
+
+
+def set_texture(world: World, name: str, image: np.ndarray) -> int:
+    """Writes (size, size, 3) uint8 into the texture ``name``; returns its id."""
+    model = world.model
+    texture = world.textures[name]
+    if model.tex_height[texture] != image.shape[0]:  # a cube: six sides below each other
+        image = np.tile(image, (6, 1, 1))
+    start = model.tex_adr[texture]
+    model.tex_data[start : start + image.size] = image.reshape(-1)
+    return texture
+
+
+def _set_lights(world: World, config: Randomization, rng: np.random.Generator) -> None:
+    model = world.model
+    count = int(rng.integers(config.lights[0], config.lights[1] + 1))
+    ambient = rng.uniform(*config.ambient)
+    power = rng.uniform(*config.lamp_power)
+    shares = rng.uniform(0.5, 1.0, LIGHTS) * (np.arange(LIGHTS) < count)
+    shares *= power / shares.sum()
+    azimuth = rng.uniform(-np.pi, np.pi)
+    shadows = rng.uniform() < config.shadow_probability
+    head = model.vis.headlight
+    head.active = 1
+    head.ambient[:] = ambient
+    head.diffuse[:] = 0.1
+    head.specular[:] = 0.05
+    for i in range(LIGHTS):
+        elevation = rng.uniform(*config.lamp_elevation)
+        angle = azimuth + i * 2.1 + rng.uniform(-0.6, 0.6)
+        distance = rng.uniform(1.4, 2.2)
+        direction = np.array(
+            [
+                np.cos(elevation) * np.cos(angle),
+                np.cos(elevation) * np.sin(angle),
+                np.sin(elevation),
+            ]
+        )
+        warmth = config.colour_temperature * rng.uniform(-1.0, 1.0)
+        colour = np.array([1.0 + warmth, 1.0, 1.0 - warmth])
+        model.light_active[i] = i < count
+        model.light_pos[i] = distance * direction
+        model.light_dir[i] = -direction
+        model.light_ambient[i] = 0.0
+        model.light_diffuse[i] = shares[i] * colour
+        model.light_specular[i] = 0.4 * shares[i] * colour
+        model.light_castshadow[i] = i == 0 and shadows
+
+
+def _set_objects(world: World, config: Randomization, rng: np.random.Generator) -> None:
+    model = world.model
+    for name in world.object_names:
+        material = world.materials[f"object:{name}"]
+        gain = 1.0 + config.brightness_jitter * rng.uniform(-1.0, 1.0)
+        tint = 1.0 + config.hue_jitter * rng.uniform(-1.0, 1.0, 3)
+        model.mat_rgba[material, :3] = gain * tint
+        specular, shininess = config.material_jitter * rng.uniform(-1.0, 1.0, 2)
+        base = world.shine[name]
+        model.mat_specular[material] = np.clip(base[0] + specular, 0.0, 1.0)
+        model.mat_shininess[material] = np.clip(base[1] + shininess, 0.0, 1.0)
+
+
+def _set_textures(world: World, config: Randomization, rng: np.random.Generator) -> list[int]:
+    model = world.model
+    changed = []
+    for name, size in _ROOM.items():
+        patterns = config.table_patterns if name == "table" else PATTERNS
+        pattern = patterns[rng.integers(len(patterns))]
+        colours = _two_colours(rng, contrast=0.5 if name == "table" else 0.35)
+        changed.append(set_texture(world, name, procedural_texture(rng, size, pattern, colours)))
+        repeat = rng.uniform(*config.texture_repeat) if name == "table" else 2.0
+        model.mat_texrepeat[world.materials[name]] = repeat
+        model.mat_specular[world.materials[name]] = rng.uniform(0.0, 0.25)
+        model.mat_shininess[world.materials[name]] = rng.uniform(0.0, 0.6)
+    for i in range(SHAPE_TEXTURES):
+        pattern = PATTERNS[rng.integers(len(PATTERNS))]
+        white = np.array([[0.95] * 3, rng.uniform(0.3, 0.95, 3)])
+        image = procedural_texture(rng, SHAPE_TEXTURE, pattern, white)
+        changed.append(set_texture(world, f"shape{i}", image))
+    for material in _shape_materials(world):
+        hue, saturation, value = rng.uniform((0.0, 0.0, 0.3), (1.0, 0.85, 1.0))
+        model.mat_rgba[material, :3] = colorsys.hsv_to_rgb(hue, saturation, value)
+        model.mat_specular[material] = rng.uniform(0.0, 0.6)
+        model.mat_shininess[material] = rng.uniform(0.0, 0.8)
+    return changed
+
+
+def _shape_materials(world: World) -> list[int]:
+    return [world.materials[f"shape{i}"] for i in range(len(world.shape_geoms))]
+
+
+def _two_colours(rng: np.random.Generator, contrast: float) -> np.ndarray:
+    """Two related colours as rooms have them: seldom saturated, (2, 3) in [0, 1]."""
+    hue, saturation = rng.uniform(), rng.beta(1.2, 3.5)
+    value = rng.uniform(0.25, 0.95)
+    other = np.clip(value + rng.choice((-1.0, 1.0)) * rng.uniform(0.05, contrast), 0.08, 1.0)
+    turned = (hue + rng.normal(0.0, 0.04)) % 1.0
+    return np.array(
+        [
+            colorsys.hsv_to_rgb(hue, saturation, value),
+            colorsys.hsv_to_rgb(turned, saturation, other),
+        ]
+    )

@@ -1,0 +1,87 @@
+"""Procedural textures: what tables, walls and plain shapes are covered with.
+
+Every texture is (size, size, 3) uint8 and tiles without a seam.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+PATTERNS = ("plain", "noise", "wood", "checker", "gradient", "speckle")
+
+
+def procedural_texture(
+    rng: np.random.Generator,
+    size: int,
+    pattern: str,
+    colours: np.ndarray,
+) -> np.ndarray:
+    """Draws a texture.
+
+    Args:
+        rng: where its random parts come from.
+        size: side in pixels.
+        pattern: one of :data:`PATTERNS`.
+        colours: two colours in [0, 1], (2, 3); the pattern goes from one to the other.
+
+    Raises:
+        ValueError: if the pattern is unknown.
+    """
+    if pattern == "plain":
+        mix = 0.12 * fractal_noise(rng, size, 8)
+    elif pattern == "noise":
+        mix = fractal_noise(rng, size, int(rng.integers(3, 12)))
+    elif pattern == "wood":
+        mix = _wood(rng, size)
+    elif pattern == "checker":
+        cells = int(2 * rng.integers(2, 9))
+        i = np.arange(size) * cells // size
+        mix = ((i[:, None] + i[None]) % 2) * 0.9 + 0.1 * fractal_noise(rng, size, 6)
+    elif pattern == "gradient":
+        i = np.cos(2 * np.pi * (np.arange(size) / size + rng.uniform()))
+        mix = (i[:, None] * rng.uniform(-1, 1) + i[None] * rng.uniform(-1, 1)) / 4 + 0.5
+    elif pattern == "speckle":
+        mix = 0.3 * fractal_noise(rng, size, 6)
+        mix += rng.random((size, size), dtype=np.float32) > rng.uniform(0.9, 0.99)
+    else:
+        raise ValueError(f"pattern must be one of {PATTERNS}, got {pattern!r}")
+    low, high = (255 * np.asarray(colours, dtype=np.float32)).clip(0, 255)
+    mix = np.clip(mix, 0, 1).astype(np.float32)
+    return cv2.merge([(a + (b - a) * mix).astype(np.uint8) for a, b in zip(low, high, strict=True)])
+
+
+def fractal_noise(rng: np.random.Generator, size: int, cells: int) -> np.ndarray:
+    """Smooth noise in [0, 1] of several octaves, the coarsest of ``cells`` bumps a side."""
+    total = np.zeros((size, size), dtype=np.float32)
+    weight, cells = 1.0, max(2, cells)
+    while cells < size and weight > 0.05:
+        total += weight * _periodic(rng.random((cells, cells), dtype=np.float32), size, size)
+        weight, cells = weight / 2, cells * 2
+    low, high = total.min(), total.max()
+    return (total - low) / max(float(high - low), 1e-6)
+
+
+def _periodic(grid: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Enlarges a grid smoothly so that its opposite edges meet."""
+    pad = 2
+    wrapped = np.pad(grid, pad, mode="wrap")
+    scale_y, scale_x = height / grid.shape[0], width / grid.shape[1]
+    affine = np.array(
+        [[scale_x, 0, (0.5 - pad) * scale_x - 0.5], [0, scale_y, (0.5 - pad) * scale_y - 0.5]]
+    )
+    return cv2.warpAffine(wrapped, affine, (width, height), flags=cv2.INTER_CUBIC)
+
+
+def _wood(rng: np.random.Generator, size: int) -> np.ndarray:
+    """Grain along x: stripes of noise, bent a little, with finer fibres."""
+    bend = _periodic(rng.random((4, 4), dtype=np.float32), size, size) * rng.uniform(0.02, 0.12)
+    rows = np.arange(size, dtype=np.float32)[:, None] / size + bend
+    profile = np.interp(
+        np.arange(4 * size) / (4 * size),
+        np.linspace(0, 1, 65),
+        np.append(values := rng.random(64), values[0]),
+    ).astype(np.float32)
+    stripes = profile[(rows * 4 * size).astype(np.int64) % (4 * size)]
+    fibres = _periodic(rng.random((size // 4, 8), dtype=np.float32), size, size)
+    return 0.65 * stripes + 0.35 * fibres

@@ -1,0 +1,266 @@
+"""Two-View Pose: look once, decide from where to look again, know where the object is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from numbers import Integral
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from .base import CAMERA_RANGE, ViewSelectionEnv
+from .camera import view_sphere_pose
+
+AZIMUTH_LIMIT = np.pi / 2
+"""Largest azimuth offset of the second view to either side, radians."""
+
+CANDIDATE_VIEWS: tuple[tuple[float, float], ...] = tuple(
+    product((-90.0, -65.0, -40.0, -15.0, 15.0, 40.0, 65.0, 90.0), (20.0, 45.0, 70.0))
+)
+"""The 24 views of TwoViewPoseDiscrete-v0: (azimuth offset, elevation), degrees."""
+
+
+class TwoViewPoseEnv(ViewSelectionEnv):
+    """Choose the second view that best tells where an object is.
+
+    ## Description
+
+    An object stands on a table among clutter that hides part of it. A camera has taken one
+    picture, and a pose estimator has guessed the object's 6D pose from it: often wrong in depth,
+    and worse where something is in the way. The camera may now move once and look again; the
+    estimator then answers from both pictures. The agent chooses where to look from. It is paid for
+    the accuracy of the final pose, less a little for the way the camera went.
+
+    Scenes are rendered by MuJoCo with LineMOD's camera (640x480) and objects modelled on LineMOD's
+    thirteen. Each scene's lights, textures and sensor are drawn anew. One decision is one episode.
+
+    ```python
+    import gymnasium as gym
+
+    env = gym.make("two_view_pose:TwoViewPose-v0", render_mode="rgb_array")
+    observation, info = env.reset(seed=1, options={"object": "duck"})
+    observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    print(info["ground_truth"]["add_first"], info["ground_truth"]["add_second"])  # metres
+    picture = env.render()
+    ```
+
+    ## Action Space
+
+    `Box(-1, 1, (3,), float32)`: a place on the view spheres around the *estimated* object, which
+    the camera then looks at, level.
+
+    | Num | Action                                             | -1      | 1      |
+    |-----|----------------------------------------------------|---------|--------|
+    | 0   | azimuth, as an offset from the reference camera's  | -90 deg | 90 deg |
+    | 1   | elevation above the table's plane, absolute        | 7 deg   | 82 deg |
+    | 2   | distance from the estimated object                 | 0.6 m   | 1.4 m  |
+
+    Elevation is absolute, so that every action is a different view and none is clipped; the
+    observation tells where the camera is now.
+
+    ## Observation Space
+
+    A `Dict`. Every value is clipped to its bounds. Poses are in the reference camera's frame
+    (OpenCV: x right, y down, z forward). Nothing in it comes from ground truth.
+
+    | Key           | Shape       | Content                                                  |
+    |---------------|-------------|----------------------------------------------------------|
+    | `rotation`    | (6,)        | first two columns of the estimated rotation, -1 to 1     |
+    | `translation` | (3,)        | estimated position, metres, within +-1, +-1, 0 to 3      |
+    | `uncertainty` | (9,)        | log10(sigma / 1 cm) of each keypoint, -2 to 2            |
+    | `score`       | (1,)        | how sure the detector is of the reference view, 0 to 1   |
+    | `object`      | (n,)        | one-hot of the target among `objects`                    |
+    | `camera`      | (7,)        | the newest camera, seen from the estimated object        |
+    | `image`       | (64, 64, 3) | uint8 RGB crop of the reference view round the detection |
+
+    `sigma` is the square root of the trace of the keypoint's covariance. `camera` holds the
+    distance (metres, 0 to 3), then sine and cosine of the elevation, of the azimuth from the
+    reference camera's, and of the roll about the optical axis.
+
+    After the step the observation is that of the new estimate, in the same layout.
+
+    ## Rewards
+
+    `-min(ADD(-S) / diameter, 1) - travel_weight * travel`
+
+    ADD(-S) is the mean distance of the model's points under the final and the true pose (ADD-S
+    for symmetric objects: eggbox, glue); `travel` is the length of the camera's way in metres.
+    Between -1 - 0.05 * travel and 0.
+
+    ## Starting State
+
+    Target, clutter, lights, textures and the reference camera (0.6 to 1.4 m, elevation 7 to 82
+    degrees) are drawn from the seed. `reset(options=...)` fixes any of:
+
+    | Option             | Value                                                           |
+    |--------------------|-----------------------------------------------------------------|
+    | `object`           | name of the target                                              |
+    | `scene_seed`       | integer from which everything drawn in the episode follows      |
+    | `reference_camera` | `T_cam_world` (4x4), or a dict of `distance` (m), `azimuth` and |
+    |                    | `elevation` (rad) on a sphere around the table's middle         |
+
+    An episode is played again with `info["scene_seed"]` and `info["object"]`.
+
+    ## Episode End
+
+    `terminated` after the one step; never `truncated`.
+
+    ## Info
+
+    `object`, `diameter` (m), `scene_seed`, `T_cam_world` (the newest camera), `T_cam_obj` (the
+    newest estimate), `travel` (m), `baseline_deg` (angle between the two views at the estimated
+    object). What no agent may use is under `ground_truth`: `T_cam_obj`, `visibility` of the target
+    in the reference view (0 to 1), `add_first`, after the step `add_second` (both ADD(-S), m), and
+    `success` (the newest error is below a tenth of the diameter).
+
+    ## Vector environments
+
+    `gym.make_vec("two_view_pose:TwoViewPose-v0", num_envs=4)` resets a sub-environment in the very
+    step that ends its episode (`AutoresetMode.SAME_STEP`), as every step does here; the final
+    observation and info are `infos["final_obs"]` and `infos["final_info"]`. Gymnasium's own
+    vectorizers default to `NEXT_STEP`, which would waste every second step; ask them for the same:
+    `make_vec(..., vectorization_mode="async", vector_kwargs={"autoreset_mode": "SameStep"})`.
+
+    ## Arguments
+
+    | Argument        | Default      | Meaning                                                |
+    |-----------------|--------------|--------------------------------------------------------|
+    | `objects`       | None         | names, mesh files or a folder of them, or a dict of    |
+    |                 |              | `ObjectModel`; None: LineMOD's thirteen                |
+    | `scene`         | `"linemod"`  | `"linemod"` (light clutter), `"occlusion"` (heavy), or |
+    |                 |              | a `SceneConfig`                                        |
+    | `estimator`     | `"mid"`      | whose shipped weights are loaded (`"mid"`,             |
+    |                 |              | `"single"`); or your own object with                   |
+    |                 |              | `estimate(views, object_name)`; or None: rendering     |
+    |                 |              | only, pose fields zero, reward for travel alone        |
+    | `travel_weight` | 0.05         | price of a metre of camera travel                      |
+    | `pose_noise`    | None         | `PoseNoise` or (degrees, metres): standard deviation   |
+    |                 |              | of the error in the relative camera pose that the      |
+    |                 |              | estimator is told; the pictures and the truth stay     |
+    | `randomization` | None         | a `Randomization` of lights, textures and sensor;      |
+    |                 |              | None: its defaults                                     |
+    | `image_size`    | 64           | side of the observation's crop, 36 to 256 pixels       |
+    | `resolution`    | (480, 640)   | height and width of the camera's pictures, 3 to 4      |
+    | `carrier`       | None         | what moves the camera (`carrier.py`); None: it flies   |
+    | `render_mode`   | None         | `"rgb_array"`, or `"human"`: a window (with pygame and |
+    |                 |              | a display; otherwise a picture file that it names)     |
+
+    ## Version History
+
+    * v0: first release
+    """
+
+    def make_action_space(self) -> spaces.Space[Any]:
+        """A place on the view spheres: azimuth offset, elevation, distance."""
+        return spaces.Box(-1.0, 1.0, (3,), np.float32)
+
+    def camera_pose(self, action: Any) -> np.ndarray:
+        """Where an action would send the camera now: T_cam_world (4, 4).
+
+        Args:
+            action: (3,) numbers from -1 to 1.
+
+        Raises:
+            ValueError: if the action is NaN or not in the action space.
+        """
+        try:
+            values = np.asarray(action, dtype=np.float32)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"action must be three numbers from -1 to 1, got {action!r}"
+            ) from error
+        if values.shape != (3,) or not (np.abs(values) <= 1.0).all():
+            raise ValueError(f"action must be three numbers from -1 to 1, got {action!r}")
+        azimuth, elevation, distance = values.astype(np.float64)
+        return view_sphere_pose(
+            self.sphere_centre,
+            _between(CAMERA_RANGE.distance, distance),
+            self.reference_position.azimuth + azimuth * AZIMUTH_LIMIT,
+            _between(CAMERA_RANGE.elevation, elevation),
+        )
+
+
+class TwoViewPoseDiscreteEnv(ViewSelectionEnv):
+    """Choose the second view from a list: `TwoViewPose-v0` with `Discrete(24)` actions.
+
+    ## Action Space
+
+    `Discrete(24)`: eight azimuth offsets from the reference camera (-90, -65, -40, -15, 15, 40, 65,
+    90 degrees) times three elevations (20, 45, 70 degrees), elevation changing fastest, at the
+    reference camera's distance from the estimated object (kept within 0.6 to 1.4 m).
+
+    ## Arguments
+
+    Those of `TwoViewPoseEnv`, and
+
+    | Argument          | Default           | Meaning                                          |
+    |-------------------|-------------------|--------------------------------------------------|
+    | `candidate_views` | `CANDIDATE_VIEWS` | pairs of azimuth offset and elevation in degrees |
+
+    Everything else is as in `TwoViewPoseEnv`.
+
+    ## Version History
+
+    * v0: first release
+    """
+
+    def __init__(
+        self, *, candidate_views: Sequence[tuple[float, float]] = CANDIDATE_VIEWS, **kwargs: Any
+    ) -> None:
+        self._candidates = _check_candidates(candidate_views)
+        super().__init__(**kwargs)
+
+    def make_action_space(self) -> spaces.Space[Any]:
+        """The number of a candidate view."""
+        return spaces.Discrete(len(self._candidates))
+
+    def camera_pose(self, action: Any) -> np.ndarray:
+        """Where an action would send the camera now: T_cam_world (4, 4).
+
+        Args:
+            action: number of the candidate view.
+
+        Raises:
+            ValueError: if the action is not in the action space.
+        """
+        count = len(self._candidates)
+        if isinstance(action, np.ndarray) and action.ndim == 0:
+            action = action.item()
+        if isinstance(action, bool) or not isinstance(action, Integral) or not 0 <= action < count:
+            raise ValueError(f"action must be an integer from 0 to {count - 1}, got {action!r}")
+        azimuth, elevation = self._candidates[int(action)]
+        reference = self.reference_position
+        return view_sphere_pose(
+            self.sphere_centre,
+            float(np.clip(reference.distance, *CAMERA_RANGE.distance)),
+            reference.azimuth + azimuth,
+            elevation,
+        )
+
+
+def _between(limits: tuple[float, float], value: float) -> float:
+    """Maps -1 to 1 linearly onto the limits."""
+    low, high = limits
+    return float(low + (value + 1.0) / 2.0 * (high - low))
+
+
+def _check_candidates(candidates: Sequence[tuple[float, float]]) -> np.ndarray:
+    """Candidate views in radians, (N, 2).
+
+    Raises:
+        ValueError: if they are no list of (azimuth offset, elevation) in degrees within the range.
+    """
+    views = np.asarray(candidates, dtype=np.float64)
+    low, high = np.rad2deg(CAMERA_RANGE.elevation)
+    valid = views.ndim == 2 and views.shape[0] > 0 and views.shape[1] == 2
+    if valid:
+        valid = bool((np.abs(views[:, 0]) <= 180).all())
+        valid &= bool(((views[:, 1] >= low - 1e-9) & (views[:, 1] <= high + 1e-9)).all())
+    if not valid:
+        raise ValueError(
+            "candidate_views must be pairs of azimuth offset (-180 to 180 degrees) and elevation "
+            f"({low:.0f} to {high:.0f} degrees), got {candidates!r}"
+        )
+    return np.deg2rad(views)
