@@ -398,13 +398,6 @@ def _decimate(
     raise ValueError(f"the surface tears when reduced to {count} faces; try another edge_length")
 
 
-def _arrays(surface: manifold3d.Manifold) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) float64 and faces (F, 3) int64."""
-    mesh = surface.to_mesh64()
-    vertices = np.array(mesh.vert_properties[:, :3], dtype=float, order="C")
-    return vertices, np.array(mesh.tri_verts, dtype=np.int64, order="C")
-
-
 def _diameter(points: np.ndarray) -> float:
     """Largest distance between two points."""
     return float(pdist(points[ConvexHull(points).vertices]).max())

@@ -49,7 +49,7 @@ def ape() -> Solid:
     right_arm = _limb((-2, -22, 53, 9), (8, -31, 33, 8), (26, -26, 26, 7))
     left_arm = _limb((-2, 22, 53, 9), (13, 30, 36, 8), (26, 14, 51, 6.5), (29, 8, 55, 6))
     legs = mirrored(_limb((0, 20, 12, 11), (22, 26, 19, 9), (30, 20, 6, 7), (36, 19, 5, 6)), 1)
-    mouth = torus((27, 0, 66), (0.25, 0, 1), 10, 0.8)
+    mouth = box((33, 0, 61.5), (8, 13, 1.4))
     shape = subtract(
         intersect(union(body, head, ears, right_arm, left_arm, legs, smooth=4), floor),
         mouth,
@@ -64,13 +64,14 @@ def ape() -> Solid:
     colour = painted(
         fur,
         (ellipsoid((24, 0, 34), (22, 15, 19)), skin),
+        (ellipsoid((-36, 0, 40), (18, 17, 24)), (0.52, 0.48, 0.44)),
         (right_arm, fur),
         (left_arm, fur),
         (face, skin),
         (mirrored(sphere((20, 6.2, 73.5), 4.4), 1), WHITE),
         (mirrored(sphere((22.5, 5.8, 73), 2.8), 1), BLACK),
         (mirrored(sphere((32, 3, 69), 1.9), 1), (0.2, 0.1, 0.08)),
-        (torus((27, 0, 66), (0.25, 0, 1), 10, 1.3), (0.45, 0.18, 0.15)),
+        (box((33, 0, 61.5), (10, 15, 2.6)), (0.45, 0.18, 0.15)),
         (mirrored(sphere((3, 22, 71), 4.2), 1), skin),
         (sphere((31, -26, 25), 9), skin),
         (sphere((31, 6, 56), 8), skin),
@@ -86,17 +87,17 @@ def cat() -> Solid:
     body = union(
         capsule((0, -30, 42), (0, 20, 44), 17, 18), ellipsoid((0, 20, 40), (19, 18, 21)), smooth=6
     )
-    front = mirrored(_limb((11, 24, 36, 10), (13, 32, 14, 8), (13, 37, 8, 10)), 0)
-    hind = mirrored(_limb((11, -32, 38, 13), (14, -44, 18, 9), (14, -36, 8, 10)), 0)
-    tail = _limb((0, -44, 46, 8), (-4, -54, 60, 7), (-10, -57, 76, 6), (-18, -54, 88, 6.5))
+    front = mirrored(_limb((12, 24, 36, 10), (14, 32, 14, 8), (14.5, 37, 8, 10)), 0)
+    hind = mirrored(_limb((12, -32, 38, 13), (15, -44, 18, 9), (15.5, -36, 8, 10)), 0)
+    tail = _limb((0, -44, 46, 8), (-4, -54, 60, 7), (-11, -57, 76, 6), (-21, -54, 88, 6.5))
     # The head is made looking along +x about its own centre, then turned and put on the neck.
     skull = union(
-        ellipsoid((0, 0, 0), (27, 31, 27)), ellipsoid((20, 0, -10), (12, 16, 10)), smooth=6
+        ellipsoid((0, 0, 0), (28, 33, 27)), ellipsoid((21, 0, -10), (12, 17, 10)), smooth=6
     )
     ear = intersect(
-        cylinder((-2, 15, 12), (-4, 27, 45), 16, 1.5), half_space((-9, 0, 0), (-1, 0, 0)), smooth=2
+        cylinder((-2, 16, 12), (-4, 29, 42), 16, 1.5), half_space((-9, 0, 0), (-1, 0, 0)), smooth=2
     )
-    ear = subtract(ear, cylinder((10, 17, 12), (2, 25, 40), 11, 1.0), smooth=1)
+    ear = subtract(ear, cylinder((10, 18, 12), (2, 27, 38), 11, 1.0), smooth=1)
     ears = mirrored(ear, 1)
     centre, turn = (3, 32, 76), (0, 0, 52)
     head = moved(union(skull, ears, smooth=3), centre, turn)
@@ -109,7 +110,10 @@ def cat() -> Solid:
     orange, stripe = (0.85, 0.52, 0.22), (0.48, 0.24, 0.08)
     stripes = [(box((0, y, 66), (60, 6, 44), 2), stripe) for y in (-40.0, -27.0, -14.0, -1.0)]
     rings = [(sphere(c, 9.5), stripe) for c in ((-3, -53, 57), (-9, -57, 74))]
-    inner_ears = mirrored(cylinder((12, 17, 10), (2, 25.5, 40), 11.5, 1.5), 1)
+    inner_ears = intersect(
+        mirrored(cylinder((11, 18, 12), (2, 27, 38), 11.3, 1.3), 1),
+        half_space((0, 0, 21.5), (0.25, 0, -1)),
+    )
     muzzle = mirrored(ellipsoid((26, 6, -11), (11, 11, 8)), 1)
     eyes, pupils = mirrored(sphere((25, 12, 3), 6.5), 1), mirrored(sphere((29, 11.5, 3), 4.4), 1)
     glints = mirrored(sphere((31.2, 9.6, 5.8), 1.9), 1)
@@ -172,8 +176,8 @@ def duck() -> Solid:
         (mirrored(sphere((38.5, 11, 70), 5), 1), BLACK),
         (mirrored(sphere((40.5, 8.8, 73.0), 1.8), 1), WHITE),
         (mirrored(sphere((49, 4, 65), 1.8), 1), (0.55, 0.18, 0.03)),
-        (mirrored(box((-19, 42, 30), (17, 16, 2.0), 0.5), 1), (0.86, 0.58, 0.04)),
-        (mirrored(box((-15, 42, 37), (17, 16, 2.0), 0.5), 1), (0.86, 0.58, 0.04)),
+        (mirrored(box((-18, 42, 29), (22, 20, 2.4), 0.5), 1), (0.80, 0.50, 0.03)),
+        (mirrored(box((-14, 42, 36), (22, 20, 2.4), 0.5), 1), (0.80, 0.50, 0.03)),
     )
     bounds = np.array([(-62, -48, -5), (65, 48, 98)], dtype=float)
     return Solid(shape, colour, bounds, edge_length=2.2, specular=0.4, shininess=0.5)

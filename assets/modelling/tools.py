@@ -102,21 +102,21 @@ def driller() -> Solid:
     )
     bit = cylinder((100, 0, 172), (119, 0, 172), 5, rounding=1)
     grip = prism(
-        [(-66, 155), (-22, 155), (-26, 120), (-32, 60), (-28, 40), (-78, 40), (-70, 90)],
+        [(-62, 155), (-18, 155), (-22, 120), (-26, 60), (-22, 40), (-70, 40), (-64, 90)],
         axis=1,
         low=-19,
         high=19,
         rounding=7,
     )
-    trigger = box((-18, 0, 130), (18, 20, 34), 5)
+    trigger = box((-14, 0, 130), (18, 20, 34), 5)
     battery = prism(
-        [(-86, 8), (-86, 40), (-76, 48), (10, 48), (20, 34), (20, 8)],
+        [(-72, 6), (-72, 38), (-64, 46), (24, 46), (32, 32), (32, 6)],
         axis=1,
         low=-37,
         high=37,
-        rounding=8,
+        rounding=6,
     )
-    switch = box((-55, 0, 207), (26, 20, 10), 3)
+    switch = box((-55, 0, 202), (26, 20, 12), 3)
     green_parts = union(motor, grip, smooth=8)
     shape = union(
         union(green_parts, battery, smooth=4), collar, chuck, bit, trigger, switch, smooth=1.5
@@ -145,7 +145,7 @@ def driller() -> Solid:
             (trigger, RED),
             (switch, RED),
         ),
-        (box((-50, 0, 103), (30, 60, 60), 8), (0.10, 0.10, 0.11)),
+        (box((-46, 0, 103), (28, 60, 56), 8), (0.30, 0.31, 0.33)),
         *vents,
         *flutes,
         *marks,
@@ -153,10 +153,10 @@ def driller() -> Solid:
         (box((-34, 36, 177), (42, 24, 8), 1), RED),
         (box((-24, 36, 167), (50, 24, 3)), dark),
         (box((-28, -36, 174), (70, 24, 10), 2), YELLOW),
-        (box((-34, 40, 28), (60, 20, 20), 2), YELLOW),
-        (box((-34, 40, 28), (44, 20, 7)), BLACK),
-        (box((-33, -40, 28), (80, 20, 7), 2), green),
-        (box((24, 0, 24), (16, 44, 12), 2), RED),
+        (box((-21, 40, 26), (60, 20, 20), 2), YELLOW),
+        (box((-21, 40, 26), (44, 20, 7)), BLACK),
+        (box((-21, -40, 26), (80, 20, 7), 2), green),
+        (box((37, 0, 22), (16, 44, 12), 2), RED),
     )
     bounds = np.array([(-118, -46, -6), (128, 46, 222)], dtype=float)
     return Solid(shape, colour, bounds, edge_length=3.8, specular=0.3, shininess=0.4)
@@ -164,10 +164,12 @@ def driller() -> Solid:
 
 def holepuncher() -> Solid:
     """An office hole punch that opens towards +x; the paper goes in between base and cheeks."""
-    base = subtract(
-        box((0, 0, 5), (100, 108, 10), 4),
-        half_space((-47, 51, 0), (1, -1, 0)),
-        smooth=2,
+    base = prism(
+        [(47, 30), (34, 51), (-34, 51), (-47, 38), (-47, -38), (-34, -51), (34, -51), (47, -30)],
+        axis=2,
+        low=0,
+        high=10,
+        rounding=3,
     )
     cheeks = mirrored(
         prism(
@@ -180,25 +182,26 @@ def holepuncher() -> Solid:
         1,
     )
     back = box((-31, 0, 26), (10, 78, 44), 2)
-    lever = moved(
-        subtract(box((0, 0, 0), (100, 98, 13), 5), box((14, 0, 0), (14, 40, 40), 5), smooth=2),
-        (2, 0, 68),
-        (0, -21, 0),
+    plate = prism(
+        [(-48, -45), (8, -45), (38, -38), (48, -24), (48, 24), (38, 38), (8, 45), (-48, 45)],
+        axis=2,
+        low=-6.5,
+        high=6.5,
+        rounding=3,
     )
-    skirt = moved(mirrored(box((-14, 43, -10), (56, 7, 20), 2), 1), (2, 0, 68), (0, -21, 0))
+    tilt = ((2, 0, 68), (0, -20, 0))
+    lever = moved(subtract(plate, box((14, 0, 0), (14, 40, 40), 5), smooth=2), *tilt)
+    skirt = moved(mirrored(box((-18, 43, -10), (48, 7, 20), 2), 1), *tilt)
     pins = mirrored(cylinder((-4, 35, 8), (-4, 35, 60), 5), 1)
     hinge = cylinder((-27, -50, 47), (-27, 50, 47), 6, rounding=1)
     handle = union(lever, skirt, smooth=3)
     shape = union(base, cheeks, back, handle, pins, hinge, smooth=2)
 
     blue, dark = (0.10, 0.22, 0.60), (0.13, 0.13, 0.15)
-    label = moved(box((-24, 20, 7), (26, 34, 8), 1), (2, 0, 68), (0, -21, 0))
-    print_lines = [
-        (moved(box((x, 20, 7), (3, 26, 8)), (2, 0, 68), (0, -21, 0)), dark)
-        for x in (-31.0, -24.0, -17.0)
-    ]
-    logo = moved(cylinder((-24, -24, 0), (-24, -24, 12), 9), (2, 0, 68), (0, -21, 0))
-    grip = moved(box((45, 0, 7), (16, 120, 14)), (2, 0, 68), (0, -21, 0))
+    label = moved(box((-24, 20, 7), (26, 34, 8), 1), *tilt)
+    print_lines = [(moved(box((x, 20, 7), (3, 26, 8)), *tilt), dark) for x in (-31.0, -24.0, -17.0)]
+    logo = moved(cylinder((-24, -24, 0), (-24, -24, 12), 9), *tilt)
+    grip = moved(box((45, 0, 7), (16, 120, 14)), *tilt)
     ruler = [
         (box((44, y, 10), (8 if i % 2 else 14, 1.8, 4)), WHITE)
         for i, y in enumerate(np.arange(-45.0, 46.0, 10.0))
@@ -212,7 +215,7 @@ def holepuncher() -> Solid:
             (pins, STEEL),
             (hinge, STEEL),
         ),
-        (intersect(grip, union(lever, box((0, 0, 90), (200, 200, 4)))), dark),
+        (grip, dark),
         (label, WHITE),
         *print_lines,
         (logo, RED),
@@ -274,15 +277,15 @@ def iron() -> Solid:
     tank = intersect(half_space((10, 0, 0), (-1, 0, 0)), half_space((0, 0, 60), (0, 0, 1)))
     colour = painted(
         coloured_parts(
-            (body, pale),
             (handle, violet),
+            (intersect(body, tank), (0.42, 0.68, 0.88)),
+            (body, pale),
             (sole, STEEL),
             (dial, dark),
             (buttons, YELLOW),
             (nozzle, dark),
             (cord, dark),
         ),
-        (intersect(body, tank, half_space((0, 0, 22), (0, 0, -1))), (0.42, 0.68, 0.88)),
         (half_space((0, 0, 12.4), (0, 0, 1)), STEEL),
         (intersect(half_space((0, 0, 20), (0, 0, 1)), half_space((0, 0, 13), (0, 0, -1))), violet),
         (capsule((-86, 0, 136), (-30, 0, 141), 8), dark),
