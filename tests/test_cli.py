@@ -16,7 +16,7 @@ from two_view_pose.pose_estimator.geometry import LINEMOD_K
 
 OPTIONS = {
     "demo": "seed object scene policy out json",
-    "generate": "out seed json",
+    "generate": "out scenes objects scene seed workers",
     "train-estimator": "out seed",
     "evaluate": "method weights scene scenes seed data pairs roi json",
     "estimate": "reference second K relative-pose object method weights out overlay json",

@@ -1,0 +1,121 @@
+"""The verb ``demo``: one episode from end to end, as numbers and as a picture."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Literal
+
+import gymnasium as gym
+import numpy as np
+from PIL import Image
+
+from ..pose_estimator.results import write_atomically, write_results
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+@dataclass(frozen=True)
+class DemoConfig:
+    """One scene: a first view, a pose, a second view that a policy chooses, a better pose."""
+
+    object: str | None = None
+    """Name of the object to look for; by default the seed draws one."""
+    scene: Literal["linemod", "occlusion"] = "linemod"
+    """Light clutter, or clutter that hides much of the object."""
+    policy: str = "max-baseline"
+    """Who chooses the second view: random, fixed (30 degrees to the side), max-baseline (farthest
+    in angle), or a file that train-agent wrote."""
+    seed: int = 0
+    """Same seed, same scene."""
+    env: Literal["TwoViewPose-v0", "TwoViewPoseDiscrete-v0"] = "TwoViewPose-v0"
+    """Any view on the sphere, or one of a fixed set."""
+    out: Path = Path("demo.png")
+    """Where the picture goes."""
+    json: Path | None = None
+    """File for machine-readable results."""
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ValueError(f"seed must be at least 0, got {self.seed}")
+
+
+def demo(config: DemoConfig) -> None:
+    """Plays one episode, prints the error of the pose before and after, and writes the picture.
+
+    Raises:
+        ValueError: if an option is wrong or the weights are missing.
+        GraphicsUnavailable: if there is no OpenGL to draw with.
+    """
+    started = perf_counter()
+    from .baselines import make_policy
+
+    env = gym.make(f"two_view_pose:{config.env}", scene=config.scene, render_mode="rgb_array")
+    try:
+        policy = make_policy(config.policy, env)
+        options = {} if config.object is None else {"object": config.object}
+        observation, _ = env.reset(seed=config.seed, options=options)
+        policy.reset(np.random.default_rng(config.seed))
+        _, _, _, _, info = env.step(policy.act(observation))
+        frame: Any = env.render()
+    finally:
+        env.close()
+    picture = io.BytesIO()
+    Image.fromarray(frame).save(picture, format="png")
+    write_atomically(config.out, picture.getvalue())
+    _print(config, info, perf_counter() - started)
+    if config.json is not None:
+        command = f"demo --scene {config.scene} --policy {config.policy} --seed {config.seed}"
+        write_results(config.json, make_records(config, info), command=command, seed=config.seed)
+
+
+def make_records(config: DemoConfig, info: dict[str, Any]) -> list[dict[str, Any]]:
+    """The numbers of the results file; ``views`` says how many views the pose is from."""
+    tags = {"object": info["object"], "scene": config.scene, "policy": config.policy}
+    errors = (info["ground_truth"]["add_first"], info["ground_truth"]["add_second"])
+    records = [
+        {
+            "metric": "add_over_diameter",
+            "value": error / info["diameter"],
+            "unit": "1",
+            "views": views,
+            **tags,
+        }
+        for views, error in enumerate(errors, start=1)
+    ]
+    return [*records, {"metric": "travel", "value": info["travel"], "unit": "m", **tags}]
+
+
+def make_table(info: dict[str, Any]) -> Table:
+    """The pose's error before and after."""
+    from rich.table import Table
+
+    truth = info["ground_truth"]
+    table = Table()
+    for title in ("pose from", "ADD(-S)", "of the diameter", "below a tenth"):
+        table.add_column(title, justify="left" if title == "pose from" else "right")
+    for name, key in (("the first view", "add_first"), ("both views", "add_second")):
+        ratio = truth[key] / info["diameter"]
+        right = "yes" if ratio < 0.1 else "no"
+        table.add_row(name, f"{1e3 * truth[key]:.1f} mm", f"{100 * ratio:.1f} %", right)
+    return table
+
+
+def _print(config: DemoConfig, info: dict[str, Any], seconds: float) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    visible = 100 * info["ground_truth"]["visibility"]
+    console.print(
+        f"object       {info['object']}, {1e3 * info['diameter']:.0f} mm in diameter, "
+        f"{visible:.0f} % of it visible in the first view"
+    )
+    console.print(
+        f"second view  {info['baseline_deg']:.0f} degrees from the first, chosen by "
+        f"{config.policy}; the camera moved {info['travel']:.2f} m"
+    )
+    console.print(make_table(info))
+    console.print(f"picture      {config.out}   ({seconds:.1f} s in all)")
