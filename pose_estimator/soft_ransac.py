@@ -19,6 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
+from typing import Any
 
 import torch
 from torch.autograd.function import once_differentiable
@@ -176,7 +177,7 @@ class _ProjectToRotation(torch.autograd.Function):
     """M = R P with R a rotation and P symmetric; see ``project_to_rotation``."""
 
     @staticmethod
-    def forward(ctx, matrices):  # type: ignore[no-untyped-def]
+    def forward(ctx: Any, matrices: torch.Tensor) -> torch.Tensor:  # type: ignore[override]
         u, s, vt = torch.linalg.svd(matrices)
         sign = torch.linalg.det(u @ vt).sign()
         flip = torch.ones_like(s)
@@ -187,7 +188,7 @@ class _ProjectToRotation(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, grad):  # type: ignore[no-untyped-def]
+    def backward(ctx: Any, grad: torch.Tensor) -> torch.Tensor:  # type: ignore[override]
         rotation, stretch, vt = ctx.saved_tensors
         # dR = R W with W skew and W P + P W = R^T dM - dM^T R; in the basis of P's eigenvectors
         # the left side is W_ij (p_i + p_j). A sum near zero means the rotation about that axis is
