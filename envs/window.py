@@ -59,7 +59,7 @@ class Window:
         try:
             import pygame
         except ImportError:
-            return "pip install pygame opens one"
+            return "pip install pygame-ce opens one"
         try:
             pygame.display.init()
             pygame.display.set_mode((width, height))
