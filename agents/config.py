@@ -89,8 +89,8 @@ class EvaluateAgentConfig:
     TwoViewPose-v0."""
     objects: tuple[str, ...] = ()
     """Names of objects or mesh files; by default the 13 of LineMOD."""
-    estimator: Literal["mid", "single"] | None = "mid"
-    """What estimates the pose; None renders only, and every pose is zero."""
+    estimator: Literal["mid", "single"] = "mid"
+    """What estimates the pose."""
     progress: bool = True
     """Show a progress bar."""
     json: Path | None = None

@@ -14,10 +14,9 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.vec_env import VecTransposeImage
 
+from .baselines import Action
 from .checkpoint import AgentHeader, check_tensors, describe_space, read_agent, subset
 from .hyperparameters import ALGORITHMS, check_hyperparameters, policy_kwargs
-
-Action = np.ndarray | int
 
 
 class TrainedPolicy:

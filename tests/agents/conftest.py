@@ -27,6 +27,7 @@ ppo:
       net_arch: [32]
       features_extractor_kwargs: {cnn_output_dim: 8}
   ToyViewDiscrete-v0: *ppo
+  ToySphere-v0: *ppo
 sac:
   ToyView-v0: &off
     n_timesteps: 60

@@ -48,9 +48,19 @@ def mean_reward(act: Callable[[dict[str, np.ndarray]], object], episodes: int = 
 
 
 def test_ppo_learns_the_toy_problem(config: Make, hyperparameters: Path) -> None:
-    text = hyperparameters.read_text().replace("n_steps: 32", "n_steps: 256")
-    hyperparameters.write_text(text.replace("n_epochs: 4", "n_epochs: 10"))
-    path = train_agent(config(steps=6144, checkpoint_every=3072))
+    hyperparameters.write_text("""
+ppo:
+  ToyView-v0:
+    n_steps: 128
+    batch_size: 64
+    n_epochs: 8
+    learning_rate: lin_3.0e-3
+    policy_kwargs:
+      net_arch: [32]
+      log_std_init: -0.7
+      features_extractor_kwargs: {cnn_output_dim: 8}
+""")
+    path = train_agent(config(steps=2048, checkpoint_every=1024))
     trained = mean_reward(load_policy(path, gym.make("toy_env:ToyView-v0")).act)
     rng = np.random.default_rng(0)
     untrained = mean_reward(lambda _: rng.uniform(-1, 1, 3).astype(np.float32))
@@ -85,7 +95,7 @@ def test_same_seed_same_weights_and_interrupted_equals_whole(
 
 
 def test_a_killed_process_goes_on_from_its_checkpoint(config: Make) -> None:
-    whole, killed = config(out="whole", steps=320), config(out="killed", steps=320)
+    whole, killed = config(out="whole", steps=1280), config(out="killed", steps=1280)
     train_agent(whole)
     script = f"""
 from pathlib import PosixPath
@@ -102,7 +112,7 @@ train_agent({killed!r})
         time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
-    assert read_agent(killed.out / CHECKPOINT)[0].steps < 320
+    assert read_agent(killed.out / CHECKPOINT)[0].steps < 1280
 
     train_agent(killed)
     assert_equal(weights(whole.out), weights(killed.out))
