@@ -10,15 +10,13 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
-import platform
+import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
-import numpy as np
 from tqdm import tqdm
 
 if TYPE_CHECKING:
@@ -74,6 +72,8 @@ class GenerateConfig:
     """Quality of the JPEG pictures, 1 to 100; 0 writes PNG."""
     randomize: bool = True
     """Random lights, textures, materials and sensor; otherwise one neutral look."""
+    json: Path | None = None
+    """File for machine-readable results."""
 
     def __post_init__(self) -> None:
         for name, least in (("scenes", 1), ("views", 1), ("workers", 1), ("seed", 0)):
@@ -104,6 +104,7 @@ def generate(config: GenerateConfig) -> None:
     """
     from ..assets import load_objects
     from ..pose_estimator.bop_writer import scene_folder, write_camera, write_models, write_pairs
+    from ..pose_estimator.results import write_results
     from .scene_writer import scaled_intrinsics, two_view_pairs
 
     objects = load_objects(config.objects or None)
@@ -117,20 +118,37 @@ def generate(config: GenerateConfig) -> None:
         for scene_id in range(config.scenes)
         if not scene_folder(config.out, config.split, scene_id).exists()
     ]
+    start = time.perf_counter()
     with tqdm(total=config.scenes, initial=config.scenes - len(missing), unit="scene") as bar:
         for _ in _make_scenes(config, missing):
             bar.update()
     write_pairs(config.out / "two_view_pairs.json", two_view_pairs(config))
-    frames = config.scenes * config.views
-    print(f"{frames} pictures of {config.scenes} scenes in {config.out / config.split}")
+    seconds = time.perf_counter() - start
+    made = len(missing) * config.views
+    print(
+        f"{config.scenes} scenes of {config.views} pictures in {config.out / config.split}; "
+        f"{made} pictures made now, {made / seconds:.1f} a second"
+    )
+    if config.json is not None:
+        records = [
+            {"metric": "pictures", "value": config.scenes * config.views, "unit": "1"},
+            {"metric": "pictures_per_second", "value": made / seconds, "unit": "1/s"},
+        ]
+        write_results(config.json, records, command="generate", seed=config.seed)
 
 
 def _claim_folder(config: GenerateConfig, object_names: tuple[str, ...]) -> None:
     """Writes manifest.json, or checks that the one that is there says the same."""
     from ..pose_estimator.bop_writer import write_json
+    from ..pose_estimator.results import versions
 
     settings = asdict(config) | {"objects": object_names}
-    for name in ("out", "workers", "scenes"):  # none of these changes what a scene looks like
+    for name in (
+        "out",
+        "workers",
+        "scenes",
+        "json",
+    ):  # none of these changes what a scene looks like
         del settings[name]
     settings = json.loads(json.dumps(settings))
     path = config.out / "manifest.json"
@@ -145,10 +163,7 @@ def _claim_folder(config: GenerateConfig, object_names: tuple[str, ...]) -> None
                 )
             )
     config.out.mkdir(parents=True, exist_ok=True)
-    packages = ("mujoco", "numpy", "opencv-python-headless", "scipy")
-    versions: dict[str, Any] = {name: version(name) for name in packages}
-    versions |= {"python": platform.python_version(), "two-view-pose": version("two-view-pose")}
-    write_json(path, {"settings": settings, "scenes": config.scenes, "versions": versions})
+    write_json(path, {"settings": settings, "scenes": config.scenes, "versions": versions()})
 
 
 def _make_scenes(config: GenerateConfig, scene_ids: list[int]) -> Iterator[int]:

@@ -1,0 +1,205 @@
+"""Generated datasets: their annotations fit their pictures, and a seed fixes every byte."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from two_view_pose.assets import load_object
+from two_view_pose.envs.camera import CameraRange, view_sphere_pose
+from two_view_pose.envs.generate import GenerateConfig, generate
+from two_view_pose.envs.scene_writer import scaled_intrinsics, silhouette_window
+from two_view_pose.envs.view_spread import spread_views, viewing_angle
+from two_view_pose.pose_estimator import bop
+from two_view_pose.pose_estimator.geometry import (
+    LINEMOD_IMAGE_SIZE,
+    LINEMOD_K,
+    crop_matrix,
+    make_transform,
+    transform,
+)
+
+OBJECTS = ("ape", "duck", "eggbox")
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    return GenerateConfig(
+        tmp_path_factory.mktemp("data") / "set",
+        scenes=4,
+        views=3,
+        objects=OBJECTS,
+        width=320,
+        height=240,
+        depth=True,
+        workers=1,
+        seed=5,
+    )
+
+
+@pytest.fixture(scope="module")
+def images(config):
+    generate(config)
+    return list(bop.read_dataset(config.out, config.split))
+
+
+def file_bytes(folder):
+    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def drawn_silhouette(model, T_cam_obj, K, shape):
+    """The object's outline filled by OpenCV, triangle by triangle, from its vertices alone."""
+    uv, _ = cv2.projectPoints(
+        transform(T_cam_obj, model.vertices), np.zeros(3), np.zeros(3), K, None
+    )
+    canvas = np.zeros(shape, dtype=np.uint8)
+    for triangle in np.round(uv[:, 0] * 16).astype(np.int32)[model.faces]:
+        cv2.fillConvexPoly(canvas, triangle, 1, shift=4)
+    return canvas.astype(bool)
+
+
+def test_annotations_fit_the_pictures(images):
+    assert len(images) == 12
+    whole = 0
+    for image in images:
+        assert bop.read_rgb(image).shape == (240, 320, 3)
+        depth = bop.read_depth(image)
+        for a in image.annotations:
+            mask = bop.read_mask(a)
+            model = load_object({1: "ape", 9: "duck", 10: "eggbox"}[a.obj_id])
+            assert a.px_count_visib == mask.sum() <= a.px_count_all
+            assert a.visibility == pytest.approx(a.px_count_visib / max(a.px_count_all, 1))
+            if a.px_count_visib < 60:
+                continue
+            outline = drawn_silhouette(model, a.T_cam_obj, image.K, mask.shape)
+            # OpenCV also fills the pixels that an edge only touches.
+            assert not np.any(mask & ~cv2.dilate(outline.astype(np.uint8), np.ones((3, 3))))
+            left, top, width, height = a.bbox_obj
+            centroid = np.argwhere(mask).mean(axis=0)
+            assert top <= centroid[0] <= top + height and left <= centroid[1] <= left + width
+            nearest = np.abs(depth[mask] - a.T_cam_obj[2, 3])
+            assert nearest.max() < model.diameter / 2 + 2e-3
+            if a.visibility > 0.999:
+                whole += 1
+                overlap = (mask & outline).sum() / (mask | outline).sum()
+                assert overlap > 0.88
+                shift = centroid - np.argwhere(outline).mean(axis=0)
+                assert np.abs(shift).max() < 0.25  # pixels
+                assert a.bbox_visib == a.bbox_obj
+    assert whole >= 5
+
+
+def test_views_are_spread_and_every_object_is_a_target(config, images):
+    pairs = bop.read_pairs(config.out)
+    targets = [1, 9, 10, 1]
+    for pair in pairs:
+        assert 10 <= pair.baseline_deg <= 60
+        assert pair.target_obj_id == targets[pair.scene_id] and pair.ref_image_id == 0
+        first, second = (
+            next(i for i in images if (i.scene_id, i.image_id) == (pair.scene_id, image_id))
+            for image_id in (0, pair.second_image_id)
+        )
+        for obj_id in pair.obj_ids:  # nothing moved between the two pictures
+            np.testing.assert_allclose(
+                pair.T_second_ref @ first.annotation(obj_id).T_cam_obj,
+                second.annotation(obj_id).T_cam_obj,
+                atol=1e-9,
+            )
+    assert {p.scene_id for p in pairs} == {0, 1, 2, 3}
+
+
+def test_a_resumed_run_and_several_workers_give_the_same_bytes(config, images, tmp_path):
+    before = file_bytes(config.out)
+    out = tmp_path / "set"
+    shutil.copytree(config.out, out)
+    split = out / config.split
+    for scene_id in (1, 2):
+        shutil.rmtree(split / f"{scene_id:06d}")
+    (split / ".000001.partial").mkdir()  # a killed run leaves such a folder
+    (split / ".000001.partial" / "rubbish").write_text("half a picture")
+    kept = split / "000000" / "scene_gt.json"
+    time_kept = kept.stat().st_mtime_ns
+    generate(replace(config, out=out, workers=2))
+    after = file_bytes(out)
+    assert after.keys() == before.keys()
+    assert [str(p) for p in before if before[p] != after[p]] == []
+    assert kept.stat().st_mtime_ns == time_kept
+
+
+def test_other_settings_in_the_same_folder_are_refused(config, images):
+    with pytest.raises(ValueError, match="seed is 5 there, 6 here"):
+        generate(replace(config, seed=6))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scenes": 0}, "scenes must be at least 1, got 0"),
+        ({"workers": 0}, "workers must be at least 1"),
+        ({"width": 8}, "width must be 16 to 4096"),
+        ({"scene": "messy"}, "scene must be linemod, occlusion or mixed, got 'messy'"),
+        ({"view_angles": (40.0, 10.0)}, "view_angles must rise"),
+        ({"jpeg_quality": 101}, "jpeg_quality must be 0 to 100"),
+        ({"split": "a/b"}, "split must be the name of a folder"),
+    ],
+)
+def test_wrong_settings_are_named(tmp_path, change, message):
+    with pytest.raises(ValueError, match=message):
+        GenerateConfig(tmp_path, **change)
+
+
+def test_unknown_objects_are_named(tmp_path):
+    with pytest.raises(ValueError, match="unicorn"):
+        generate(GenerateConfig(tmp_path / "set", objects=("unicorn",)))
+    assert not (tmp_path / "set").exists()
+
+
+def test_second_views_keep_angles_elevation_and_distance():
+    rng = np.random.default_rng(0)
+    cameras = CameraRange(roll=0.2, look_at_noise=0.1)
+    for _ in range(40):
+        centre = rng.uniform(-0.1, 0.1, 3)
+        first = cameras.sample(rng, centre)
+        low, high = np.deg2rad((10.0, 75.0))
+        views = spread_views(rng, first, centre, 3, (low, high), cameras)
+        angles = sorted(viewing_angle(first, T, centre) for T in views)
+        bounds = np.linspace(low, high, 4)
+        assert np.all(bounds[:-1] <= angles) and np.all(angles <= bounds[1:])
+        for T in views:
+            ray = -T[:3, :3].T @ T[:3, 3] - centre
+            assert 0.6 <= np.linalg.norm(ray) <= 1.4
+            elevation = np.rad2deg(np.arcsin(ray[2] / np.linalg.norm(ray)))
+            assert 7 - 1e-9 <= elevation <= 82 + 1e-9
+            x, y, z = transform(T, centre)
+            assert z > 0 and np.hypot(x, y) < 0.165 * z
+    with pytest.raises(ValueError, match="no camera between 140 and 150 degrees"):
+        straight_down = view_sphere_pose(np.zeros(3), 1.0, 0.0, np.deg2rad(80))
+        spread_views(rng, straight_down, np.zeros(3), 1, np.deg2rad((140, 150)), CameraRange())
+
+
+def test_scaled_camera_sees_the_same_field():
+    height, width = LINEMOD_IMAGE_SIZE
+    np.testing.assert_allclose(scaled_intrinsics(height, width), LINEMOD_K)
+    half = crop_matrix(np.array([(width - 1) / 2, (width - 1) / 2]), width, width // 2) @ LINEMOD_K
+    np.testing.assert_allclose(scaled_intrinsics(height, width // 2)[0], half[0])
+
+
+def test_silhouette_window_reaches_beyond_the_picture_but_not_far():
+    duck = load_object("duck")
+    shape = LINEMOD_IMAGE_SIZE
+    left, top, width, height = silhouette_window(
+        duck, make_transform(np.eye(3), [0.55, 0, 1.0]), LINEMOD_K, shape
+    )
+    assert left > 500 and left + width > 650 and 0 < top < top + height < 480
+    behind = make_transform(np.eye(3), [0, 0, -1.0])
+    assert silhouette_window(duck, behind, LINEMOD_K, shape)[2:] == (0, 0)
+    around = make_transform(np.eye(3), [0, 0, 0.0])
+    assert silhouette_window(duck, around, LINEMOD_K, shape) == (-640, -480, 1920, 1440)
+
+
+def test_results_file_counts_the_pictures(config, images, tmp_path):
+    generate(replace(config, json=tmp_path / "results.json"))
+    records = json.loads((tmp_path / "results.json").read_text())["records"]
+    assert {r["metric"]: r["value"] for r in records}["pictures"] == 12
