@@ -38,9 +38,9 @@ class Randomization:
     """
 
     lights: tuple[int, int] = (1, 3)
-    lamp_elevation: tuple[float, float] = (np.deg2rad(35.0), np.deg2rad(85.0))
-    lamp_power: tuple[float, float] = (0.45, 0.8)
-    ambient: tuple[float, float] = (0.25, 0.45)
+    lamp_elevation: tuple[float, float] = (np.deg2rad(42.0), np.deg2rad(85.0))
+    lamp_power: tuple[float, float] = (0.5, 0.85)
+    ambient: tuple[float, float] = (0.3, 0.5)
     colour_temperature: float = 0.12
     shadow_probability: float = 0.7
     textures: bool = True
@@ -220,8 +220,8 @@ def _shape_materials(world: World) -> list[int]:
 
 def _two_colours(rng: np.random.Generator, contrast: float) -> np.ndarray:
     """Two related colours as rooms have them: seldom saturated, (2, 3) in [0, 1]."""
-    hue, saturation = rng.uniform(), rng.beta(1.2, 3.5)
-    value = rng.uniform(0.25, 0.95)
+    hue, saturation = rng.uniform(), rng.beta(1.1, 6.0)
+    value = rng.uniform(0.3, 0.97)
     other = np.clip(value + rng.choice((-1.0, 1.0)) * rng.uniform(0.05, contrast), 0.08, 1.0)
     turned = (hue + rng.normal(0.0, 0.04)) % 1.0
     return np.array(

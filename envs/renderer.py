@@ -7,7 +7,9 @@ RGB, depth and masks agree to the pixel.
 
 from __future__ import annotations
 
+import atexit
 import os
+import weakref
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +24,7 @@ from .world import FAR, MOVABLE, NEAR, PROBED, ROOM
 if TYPE_CHECKING:
     from .scene import Scene
 
-SHADOW_MAP_SIZE = 1024
+SHADOW_MAP_SIZE = 512
 LARGEST_SIDE = 4096
 _MAX_GEOMS = 200
 
@@ -170,6 +172,9 @@ class Graphics:
             self._gl.free()
         self._gl = self._context = self._scene = None
 
+    def __del__(self) -> None:
+        self.close()
+
     def _ready(self, height: int, width: int) -> mujoco.MjrContext:
         model = self._world.model
         if self._context is not None and self._pid != os.getpid():
@@ -191,6 +196,11 @@ class Graphics:
             self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
             self._uploaded[:] = self._versions
             self._pid = os.getpid()
+            if not _open_graphics:
+                # After EGL's own handler, hence run before it: freed while the library lives.
+                atexit.unregister(_close_all)
+                atexit.register(_close_all)
+            _open_graphics.add(self)
         else:
             self._gl.make_current()
         if width > self._context.offWidth or height > self._context.offHeight:
@@ -205,6 +215,14 @@ class Graphics:
         self._uploaded[:] = self._versions
         self._context.mat_texrepeat[: 2 * model.nmat] = model.mat_texrepeat.reshape(-1)
         return self._context
+
+
+_open_graphics: weakref.WeakSet[Graphics] = weakref.WeakSet()
+
+
+def _close_all() -> None:
+    for graphics in list(_open_graphics):
+        graphics.close()
 
 
 class SceneRenderer:

@@ -80,17 +80,16 @@ def apply_sensor(rgb: np.ndarray, config: SensorConfig, rng: np.random.Generator
     if noise > 0.3:
         out = _add_noise(out, noise, rng)
     if compress:
-        _, code = cv2.imencode(".jpg", out, (cv2.IMWRITE_JPEG_QUALITY, quality))
-        out = cv2.imdecode(code, cv2.IMREAD_COLOR)
+        bgr = cv2.cvtColor(out, cv2.COLOR_RGB2BGR)
+        _, code = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, quality))
+        out = cv2.cvtColor(cv2.imdecode(code, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
     return out
 
 
 def _add_noise(image: np.ndarray, sigma: float, rng: np.random.Generator) -> np.ndarray:
     """Adds Gaussian noise cut from one random tile, which is many times cheaper than drawing it."""
     height, width = image.shape[:2]
-    tile = rng.normal(0.0, sigma, (_NOISE_TILE, _NOISE_TILE)).round().astype(np.int16)
-    y, x, c = np.arange(height), np.arange(width), np.arange(3)
-    rows = np.roll(np.resize(tile, (_NOISE_TILE, width)), 1, axis=1)
-    del y, x, c
-    noise = np.stack([np.resize(np.roll(rows, 67 * k, (0, 1)), (height, width)) for k in range(3)])
-    return cv2.add(image, np.moveaxis(noise, 0, -1).copy(), dtype=cv2.CV_8U)
+    tile = rng.normal(0.0, sigma, (_NOISE_TILE, _NOISE_TILE, 3)).round().astype(np.int16)
+    down, across = -(-height // _NOISE_TILE), -(-width // _NOISE_TILE)
+    noise = np.tile(tile, (down, across, 1))[:height, :width]
+    return cv2.add(image, np.ascontiguousarray(noise), dtype=cv2.CV_8U)

@@ -46,9 +46,11 @@ def procedural_texture(
         mix += rng.random((size, size), dtype=np.float32) > rng.uniform(0.9, 0.99)
     else:
         raise ValueError(f"pattern must be one of {PATTERNS}, got {pattern!r}")
-    low, high = (255 * np.asarray(colours, dtype=np.float32)).clip(0, 255)
-    mix = np.clip(mix, 0, 1).astype(np.float32)
-    return cv2.merge([(a + (b - a) * mix).astype(np.uint8) for a, b in zip(low, high, strict=True)])
+    steps = np.linspace(0.0, 1.0, 256)[:, None]
+    low, high = np.asarray(colours)
+    ramp = np.clip(255.0 * (low + (high - low) * steps), 0, 255).astype(np.uint8)
+    levels = cv2.convertScaleAbs(np.clip(mix, 0.0, 1.0).astype(np.float32), alpha=255.0)
+    return cv2.LUT(cv2.merge([levels] * 3), ramp[:, None, :])
 
 
 def fractal_noise(rng: np.random.Generator, size: int, cells: int) -> np.ndarray:
@@ -70,7 +72,8 @@ def _periodic(grid: np.ndarray, height: int, width: int) -> np.ndarray:
     affine = np.array(
         [[scale_x, 0, (0.5 - pad) * scale_x - 0.5], [0, scale_y, (0.5 - pad) * scale_y - 0.5]]
     )
-    return cv2.warpAffine(wrapped, affine, (width, height), flags=cv2.INTER_CUBIC)
+    smooth = cv2.INTER_CUBIC if min(grid.shape) < 32 else cv2.INTER_LINEAR
+    return cv2.warpAffine(wrapped, affine, (width, height), flags=smooth)
 
 
 def _wood(rng: np.random.Generator, size: int) -> np.ndarray:

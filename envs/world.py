@@ -68,7 +68,7 @@ def compile_world(objects: Mapping[str, ObjectModel]) -> World:
     spec.compiler.degree = False
     spec.stat.extent, spec.stat.center = 1.0, (0.0, 0.0, 0.0)
     spec.visual.map.znear, spec.visual.map.zfar = NEAR, FAR
-    spec.visual.map.shadowclip = 2.0
+    spec.visual.map.shadowscale = 0.35  # of a lamp's cone: the shadow map covers the clutter
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 640, 480
     _add_room(spec)
     for i in range(LIGHTS):
@@ -171,15 +171,13 @@ def _add_object(spec: mujoco.MjSpec, name: str, model: ObjectModel) -> None:
     texture.data = model.texture.tobytes()
     material = _add_material(spec, key, key)
     material.specular, material.shininess = model.specular, model.shininess
-    normals, corner_normals = corner_shading(model.vertices, model.faces)
+    faces, vertex, normals = corner_shading(model.vertices, model.faces)
     mesh = spec.add_mesh(name=key, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
-    mesh.uservert = model.vertices.ravel().tolist()
-    mesh.userface = model.faces.ravel().tolist()
+    mesh.uservert = model.vertices[vertex].ravel().tolist()
+    mesh.userface = faces.ravel().tolist()
     mesh.usernormal = normals.ravel().tolist()
-    mesh.userfacenormal = corner_normals.ravel().tolist()
     # MuJoCo's v runs down the picture, as its rows do.
-    mesh.usertexcoord = (model.uv * (1, -1) + (0, 1)).ravel().tolist()
-    mesh.userfacetexcoord = model.faces.ravel().tolist()
+    mesh.usertexcoord = (model.uv[vertex] * (1, -1) + (0, 1)).ravel().tolist()
     geom = _add_body(spec, key).add_geom(
         name=key, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=key, material=key
     )
@@ -188,8 +186,10 @@ def _add_object(spec: mujoco.MjSpec, name: str, model: ObjectModel) -> None:
 
 def corner_shading(
     vertices: np.ndarray, faces: np.ndarray, crease: float = np.deg2rad(40.0)
-) -> tuple[np.ndarray, np.ndarray]:
-    """Normals for smooth shading with creases, blind to texture seams.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Splits vertices so that each has one normal: smooth, but sharp at creases.
+
+    Texture seams, where vertices are doubled already, leave no trace in the shading.
 
     Args:
         vertices: (V, 3); vertices at the same place count as one.
@@ -197,15 +197,16 @@ def corner_shading(
         crease: faces that meet at a larger angle keep their edge sharp, radians.
 
     Returns:
-        Normals (3 F, 3) float64 of unit length, and for each face the indices of its corners'
-        normals, (F, 3) int64.
+        Faces (F, 3) over N split vertices, the vertex that each comes from (N,), and its unit
+        normal (N, 3).
     """
     triangles = vertices[faces]
     face_normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     areas = np.linalg.norm(face_normals, axis=1, keepdims=True)
     units = face_normals / np.maximum(areas, 1e-15)
-    grid = np.round(vertices / (1e-6 + 1e-6 * np.abs(vertices).max())).astype(np.int64)
+    grid = np.round(vertices / (1e-6 * np.ptp(vertices, axis=0).max())).astype(np.int64)
     _, place = np.unique(grid, axis=0, return_inverse=True)
+    # Every corner meets every corner at the same place.
     corner_place = place.ravel()[faces].ravel()  # (3 F,)
     order = np.argsort(corner_place, kind="stable")
     starts = np.searchsorted(corner_place[order], np.arange(place.max() + 2))
@@ -217,10 +218,10 @@ def corner_shading(
     normals = np.zeros((len(corner_place), 3))
     np.add.at(normals, corners[smooth], face_normals[neighbours[smooth]])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    flat = lengths[:, 0] < 1e-15
-    normals = normals / np.maximum(lengths, 1e-15)
-    normals[flat] = (0.0, 0.0, 1.0)
-    return normals, np.arange(len(corner_place)).reshape(-1, 3)
+    normals = np.where(lengths > 1e-15, normals / np.maximum(lengths, 1e-15), (0.0, 0.0, 1.0))
+    key = np.column_stack([faces.ravel(), np.round(normals * 1e4).astype(np.int64)])
+    _, first, split = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    return split.reshape(faces.shape), faces.ravel()[first], normals[first]
 
 
 def _add_texture(spec: mujoco.MjSpec, name: str, size: int, cube: bool = False) -> None:
