@@ -78,7 +78,7 @@ def uncertainty_pnp(
         whiteners(pixels, covariances),
     )
 
-    known = problem.whiteners.any(axis=(1, 2))
+    known = np.any(problem.whiteners, axis=(1, 2))
     candidates = [_guess(problem)]
     costs = [problem.cost(*candidates[0])]
     if known.sum() >= 4:

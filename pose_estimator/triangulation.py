@@ -111,7 +111,7 @@ class _Rig:
     @property
     def sees(self) -> np.ndarray:
         """Which view has a usable pixel of which point, (V, N)."""
-        return self.whiteners.any(axis=(2, 3))
+        return np.any(self.whiteners, axis=(2, 3))
 
     def normal_equations(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gradient (N, 3) and Gauss-Newton matrix (N, 3, 3)."""
