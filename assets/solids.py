@@ -15,7 +15,7 @@ import fast_simplification
 import manifold3d
 import numpy as np
 import trimesh
-from scipy.optimize import brentq
+from scipy.optimize import minimize_scalar
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
@@ -30,6 +30,12 @@ Vector = Sequence[float] | np.ndarray
 
 MAX_BEND = 0.2
 """Largest bend that `mesh_solid` may need; beyond it the shape would visibly warp."""
+
+BEND_PRICE = 0.1
+"""Relative error of the diameter that a bend of 1 must save, so that none is made for nothing."""
+
+MAX_DIAMETER_ERROR = 0.01
+"""Relative error of the diameter that `mesh_solid` tolerates."""
 
 
 # Primitives
@@ -320,11 +326,12 @@ def mesh_solid(solid: Solid, extents_m: Vector, diameter_m: float) -> MeshedSoli
     def excess(bend: float) -> float:
         return _diameter(_fit(_bend(unit, bend), target)[0]) - diameter_m
 
-    bend = _least_root(excess, tolerance=0.01 * diameter_m)
-    if bend is None:
+    bend = _best_bend(lambda bend: abs(excess(bend)) / diameter_m + BEND_PRICE * abs(bend))
+    if abs(excess(bend)) > MAX_DIAMETER_ERROR * diameter_m:
         raise ValueError(
             f"diameter_m {diameter_m:.4f} is out of this shape's reach: with the extents "
-            f"{target.tolist()} it would be {diameter_m + excess(0.0):.4f} unbent"
+            f"{target.tolist()} it is {diameter_m + excess(0.0):.4f} unbent and "
+            f"{diameter_m + excess(bend):.4f} at best"
         )
     fitted, scale, offset = _fit(_bend(unit, bend), target)
 
@@ -411,16 +418,14 @@ def _fit(points: np.ndarray, extents: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return points * scale + offset, scale, offset
 
 
-def _least_root(excess: Callable[[float], float], tolerance: float) -> float | None:
-    """The bend nearest to none at which ``excess`` is zero, or at least within ``tolerance``."""
+def _best_bend(cost: Callable[[float], float]) -> float:
+    """The bend of least cost: a scan, since the cost has several valleys, then a descent."""
     grid = np.linspace(-MAX_BEND, MAX_BEND, 41)
-    values = np.array([excess(bend) for bend in grid])
-    crossings = np.flatnonzero(np.sign(values[:-1]) != np.sign(values[1:]))
-    if len(crossings):
-        i = crossings[np.abs(grid[crossings] + grid[crossings + 1]).argmin()]
-        return float(brentq(excess, grid[i], grid[i + 1], xtol=1e-6))
-    best = np.abs(values).argmin()
-    return float(grid[best]) if abs(values[best]) < tolerance else None
+    best = grid[np.argmin([cost(bend) for bend in grid])]
+    step, options = grid[1] - grid[0], {"xatol": 1e-5}
+    around = (max(best - step, -MAX_BEND), min(best + step, MAX_BEND))
+    found = minimize_scalar(cost, bounds=around, method="bounded", options=options)
+    return float(found.x) if found.fun < cost(best) else float(best)
 
 
 def _bend(unit: np.ndarray, bend: float) -> np.ndarray:

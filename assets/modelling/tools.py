@@ -85,7 +85,7 @@ def benchvise() -> Solid:
         (torus((-12, 0, 40), (0, 0, 1), 34, 4.0), dark),
     )
     bounds = np.array([(-118, -72, -6), (120, 72, 228)], dtype=float)
-    return Solid(shape, colour, bounds, edge_length=4.2, specular=0.5, shininess=0.5)
+    return Solid(shape, colour, bounds, edge_length=4.0, specular=0.5, shininess=0.5)
 
 
 def driller() -> Solid:
