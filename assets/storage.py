@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 from importlib.metadata import version
@@ -85,10 +84,7 @@ def read_object(folder: str | Path) -> ObjectModel:
 
 def _read_glb(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Vertices, faces, uv and texture of the one mesh in a GLB file."""
-    with path.open("rb") as file:
-        tree = trimesh.exchange.gltf.load_glb(io.BytesIO(file.read()))
-    (geometry,) = tree["geometry"].values()
-    mesh = trimesh.Trimesh(**geometry, process=False)
+    (mesh,) = trimesh.load_scene(path, process=False).geometry.values()
     picture = mesh.visual.material.baseColorTexture.convert("RGB")
     return (
         np.asarray(mesh.vertices, dtype=np.float64),
