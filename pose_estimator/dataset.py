@@ -1,0 +1,242 @@
+"""Training batches from a pack of crops: single targets, pairs of views, and whole frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeVar
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..assets.object_model import ObjectModel
+from .augmentation import AugmentationConfig, augment_colours, jitter_affine
+from .crops import STORED_SCALE, STORED_SIDE, CropPack
+from .detector import DetectorConfig, detection_targets
+from .features import FeatureConfig
+from .geometry import invert, project
+from .symmetry import canonical_pose
+
+_Sample = TypeVar("_Sample")
+
+
+@dataclass(frozen=True, eq=False)
+class TargetSample:
+    """One training crop.
+
+    Attributes:
+        crop: RGB uint8 (S, S, 3).
+        mask: (G, G) float32, covered fraction of each cell by the visible object.
+        directions: (9, 2, G, G) float32 unit vectors towards the keypoints.
+        object_index: which object.
+        K: (3, 3) camera of the crop (any affine of the true one, turned and shifted).
+        T_cam_obj: (4, 4) the pose that is trained.
+    """
+
+    crop: np.ndarray
+    mask: np.ndarray
+    directions: np.ndarray
+    object_index: int
+    K: np.ndarray
+    T_cam_obj: np.ndarray
+
+
+class TrainingSet:
+    """Draws training samples from a pack.
+
+    Args:
+        pack: the packed dataset.
+        objects: the models, in the order of the pack.
+        features: shape of the crops.
+        augmentation: None leaves the pictures as they are, with crops centred on the target.
+        validation: fraction of the scenes (the last ones) that is kept for validation.
+        held_out: draw from the validation scenes instead of the training scenes.
+    """
+
+    def __init__(
+        self,
+        pack: CropPack,
+        objects: Mapping[str, ObjectModel],
+        features: FeatureConfig,
+        augmentation: AugmentationConfig | None = AugmentationConfig(),
+        *,
+        validation: float = 0.03,
+        held_out: bool = False,
+    ):
+        self.pack = pack
+        self.models = list(objects.values())
+        self.features = features
+        self.augmentation = augmentation
+        scenes = np.unique(pack.scene_id)
+        first_held_out = scenes[len(scenes) - max(1, round(validation * len(scenes)))]
+        self.frames = np.flatnonzero((pack.scene_id >= first_held_out) == held_out)
+        self.targets = np.flatnonzero(np.isin(pack.frame_index, self.frames))
+        index = pack.object_index[self.targets]
+        self.by_object = [self.targets[index == k] for k in range(len(self.models))]
+        self.known = [k for k, targets in enumerate(self.by_object) if len(targets)]
+        self._pairs = self._find_pairs()
+
+    def _find_pairs(self) -> list[list[np.ndarray]]:
+        """For each object, the groups of targets that show it in one static world."""
+        groups: dict[tuple[int, int], list[int]] = {}
+        for target in self.targets:
+            scene = int(self.pack.scene_id[self.pack.frame_index[target]])
+            groups.setdefault((int(self.pack.object_index[target]), scene), []).append(int(target))
+        result: list[list[np.ndarray]] = [[] for _ in self.models]
+        for (index, _), group in sorted(groups.items()):
+            if len(group) > 1:
+                result[index].append(np.array(group))
+        return result
+
+    def target(self, target: int, rng: np.random.Generator) -> TargetSample:
+        """Makes one training sample of a target."""
+        pack, config = self.pack, self.features
+        size = config.crop
+        zoom = STORED_SCALE / config.roi_scale * size / STORED_SIDE
+        crop, mask = pack.crop(target), pack.mask(target)
+        if self.augmentation is None:
+            around = np.diag([zoom, zoom, 1.0])
+        else:
+            around = jitter_affine(size, zoom, self.augmentation, rng)
+        affine = _shift((size - 1) / 2) @ around @ _shift(-(STORED_SIDE - 1) / 2)
+        crop = cv2.warpAffine(
+            crop,
+            affine[:2],
+            (size, size),
+            flags=cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=(127, 127, 127),
+        )
+        mask = cv2.warpAffine(mask, affine[:2], (size, size), flags=cv2.INTER_LINEAR)
+        mask = cv2.resize(mask, (config.grid, config.grid), interpolation=cv2.INTER_AREA)
+        if self.augmentation is not None:
+            crop = augment_colours(crop, self.augmentation, rng)
+        index = int(pack.object_index[target])
+        model = self.models[index]
+        K = affine @ pack.to_stored[target] @ pack.K[pack.frame_index[target]]
+        T = canonical_pose(pack.T_cam_obj[target], model.symmetries)
+        pixels = project(model.keypoints @ T[:3, :3].T + T[:3, 3], K)
+        return TargetSample(
+            crop=crop,
+            mask=mask.astype(np.float32) / 255,
+            directions=direction_field(pixels, config),
+            object_index=index,
+            K=K,
+            T_cam_obj=T,
+        )
+
+    def draw_target(self, rng: np.random.Generator) -> TargetSample:
+        """A random target; each object is equally likely."""
+        return self.target(int(rng.choice(self.by_object[rng.choice(self.known)])), rng)
+
+    def draw_pair(self, rng: np.random.Generator) -> tuple[TargetSample, TargetSample, np.ndarray]:
+        """Two views of one object: samples and T_second_ref (4, 4); the reference view first."""
+        index = rng.choice([k for k in self.known if self._pairs[k]])
+        groups = self._pairs[index]
+        group = groups[rng.integers(len(groups))]
+        first, second = rng.choice(group, 2, replace=False)
+        # From the object itself: it stands still, and real data need not know the world.
+        T_second_ref = self.pack.T_cam_obj[second] @ invert(self.pack.T_cam_obj[first])
+        return self.target(int(first), rng), self.target(int(second), rng), T_second_ref
+
+    def draw_frame(
+        self, rng: np.random.Generator, config: DetectorConfig
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """A frame for the detector: picture, heat, regression, weight (see detection_targets)."""
+        pack = self.pack
+        frame = int(rng.choice(self.frames))
+        picture = pack.frame(frame)
+        low, high = np.searchsorted(pack.frame_index, [frame, frame + 1])
+        to_small = np.linalg.inv(pack.frame_to_image[frame])
+        flip_free = np.eye(3)
+        if self.augmentation is not None:
+            scale = np.exp(rng.uniform(-0.15, 0.15))
+            angle = rng.uniform(-0.15, 0.15)
+            middle = np.array([(config.width - 1) / 2, (config.height - 1) / 2])
+            shift = rng.uniform(-0.06, 0.06, 2) * (config.width, config.height)
+            cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
+            flip_free[:2, :2] = [[cosine, -sine], [sine, cosine]]
+            flip_free[:2, 2] = middle + shift - flip_free[:2, :2] @ middle
+            picture = cv2.warpAffine(
+                picture, flip_free[:2], (config.width, config.height), borderMode=cv2.BORDER_REFLECT
+            )
+            picture = augment_colours(picture, self.augmentation, rng)
+        K = flip_free @ to_small @ pack.K[frame]
+        count = len(self.models)
+        centres, sides = np.zeros((count, 2)), np.ones(count)
+        present = np.zeros(count, bool)
+        for target in range(low, high):
+            index = int(pack.object_index[target])
+            T = pack.T_cam_obj[target]
+            centres[index] = project(T[:3, 3], K)
+            focal = np.sqrt(abs(np.linalg.det(K[:2, :2])))
+            sides[index] = config.roi_scale * self.models[index].diameter * focal / T[2, 3]
+            present[index] = True
+        return (picture, *detection_targets(centres, sides, present, config))
+
+
+def direction_field(pixels: np.ndarray, config: FeatureConfig) -> np.ndarray:
+    """Unit vectors (9, 2, G, G) from each cell of the output grid to keypoints (9, 2) in crop pixels."""
+    cells = np.arange(config.grid) * config.stride + (config.stride - 1) / 2
+    field = np.empty((len(pixels), 2, config.grid, config.grid), np.float32)
+    field[:, 0] = pixels[:, 0, None, None] - cells[None, None, :]
+    field[:, 1] = pixels[:, 1, None, None] - cells[None, :, None]
+    # Within half a cell the direction means nothing; let it go to zero there.
+    return field / np.maximum(np.linalg.norm(field, axis=1, keepdims=True), config.stride / 2)
+
+
+def stack_targets(samples: list[TargetSample]) -> dict[str, Tensor]:
+    """Collates samples into a batch; crops become float (B, 3, S, S), channels last."""
+    crops = torch.from_numpy(np.stack([s.crop for s in samples])).permute(0, 3, 1, 2).float()
+    return {
+        "crop": crops,
+        "mask": torch.from_numpy(np.stack([s.mask for s in samples])),
+        "directions": torch.from_numpy(np.stack([s.directions for s in samples])),
+        "object": torch.tensor([s.object_index for s in samples]),
+        "K": torch.from_numpy(np.stack([s.K for s in samples])).float(),
+        "T_cam_obj": torch.from_numpy(np.stack([s.T_cam_obj for s in samples])).float(),
+    }
+
+
+def batches(
+    draw: Callable[[np.random.Generator], _Sample],
+    size: int,
+    seed: int,
+    start: int,
+    threads: int = 2,
+    ahead: int = 3,
+) -> Iterator[list[_Sample]]:
+    """Endless batches, prepared ahead by threads (OpenCV lets go of the interpreter lock).
+
+    Args:
+        draw: makes one sample.
+        size: samples a batch.
+        seed: of everything drawn; batch n is the same whatever came before it.
+        start: number of the first batch, to resume.
+        threads: how many threads.
+        ahead: how many batches to prepare ahead.
+    """
+
+    def make(number: int) -> list[_Sample]:
+        rng = np.random.default_rng([seed, number])
+        return [draw(rng) for _ in range(size)]
+
+    with ThreadPoolExecutor(threads) as pool:
+        queue: list[Future[list[_Sample]]] = []
+        number = start
+        try:
+            while True:
+                while len(queue) <= ahead:
+                    queue.append(pool.submit(make, number))
+                    number += 1
+                yield queue.pop(0).result()
+        finally:
+            for future in queue:
+                future.cancel()
+
+
+def _shift(offset: float) -> np.ndarray:
+    return np.array([[1.0, 0, offset], [0, 1.0, offset], [0, 0, 1.0]])

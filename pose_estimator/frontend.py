@@ -1,0 +1,157 @@
+"""From a full frame to 2D keypoints: detect, crop, features, votes. All methods begin here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .crops import warp_crop
+from .detector import decode, detector_input
+from .estimate import Roi
+from .features import Features2D
+from .geometry import View, crop_matrix
+from .networks import PoseNetworks, has_fast_bfloat16
+from .voting import vote_keypoints
+
+_CACHED_VIEWS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedView:
+    """One view of one object after the 2D part.
+
+    Attributes:
+        view: the picture and its camera.
+        roi: where the object was found.
+        K_grid: (3, 3) camera whose pixels are those of the feature grid.
+        to_image: (3, 3) affine map from the feature grid to pixels of the picture.
+        volume: (C, G, G) features for the volume.
+        vote_mean: (9, 2) voted keypoints, pixels of the feature grid.
+        vote_covariance: (9, 2, 2).
+        vote_score: (9,) share of the object's pixels that agree, 0 to 1.
+        mask: (G, G) probability of the visible object.
+    """
+
+    view: View
+    roi: Roi
+    K_grid: np.ndarray
+    to_image: np.ndarray
+    volume: Tensor
+    vote_mean: np.ndarray
+    vote_covariance: np.ndarray
+    vote_score: np.ndarray
+    mask: np.ndarray
+
+    @property
+    def pixels(self) -> np.ndarray:
+        """Voted keypoints in pixels of the picture, (9, 2)."""
+        return self.vote_mean @ self.to_image[:2, :2].T + self.to_image[:2, 2]
+
+    @property
+    def pixel_covariance(self) -> np.ndarray:
+        """Covariances of ``pixels``, (9, 2, 2)."""
+        A = self.to_image[:2, :2]
+        return A @ self.vote_covariance @ A.T
+
+
+@dataclass(eq=False)
+class Frontend:
+    """Runs the 2D networks; remembers the last few views, so that a reference is encoded once.
+
+    Attributes:
+        networks: in evaluation mode.
+    """
+
+    networks: PoseNetworks
+    _cache: list[tuple[View, int, EncodedView]] = field(default_factory=list)
+    _bfloat16: bool = field(default_factory=has_fast_bfloat16)
+
+    def encode(
+        self,
+        view: View,
+        index: int,
+        prior: tuple[np.ndarray, float] | None = None,
+        roi: Roi | None = None,
+    ) -> EncodedView:
+        """Finds an object in a view and votes for its keypoints.
+
+        Args:
+            view: picture and camera.
+            index: which object, in the networks' order.
+            prior: where another view expects it: pixel (2,) and standard deviation in pixels.
+            roi: a region of interest from elsewhere, instead of the detector's.
+        """
+        if prior is None and roi is None:
+            for cached, cached_index, encoded in self._cache:
+                if cached is view and cached_index == index:
+                    return encoded
+        encoded = self._encode(view, index, roi or self.detect(view, index, prior))
+        if prior is None and roi is None:
+            self._cache = [*self._cache[1 - _CACHED_VIEWS :], (view, index, encoded)]
+        return encoded
+
+    @torch.inference_mode()
+    def detect(self, view: View, index: int, prior: tuple[np.ndarray, float] | None = None) -> Roi:
+        """The region of interest of an object in a full frame."""
+        detector = self.networks.detector
+        small, to_image = detector_input(view.image, detector.config)
+        frames = torch.from_numpy(small).permute(2, 0, 1)[None].float()
+        with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
+            logits, regression = detector(frames.contiguous(memory_format=torch.channels_last))
+        return decode(
+            logits[0, index].float().numpy(),
+            regression[0, index].float().numpy(),
+            to_image,
+            detector.config,
+            prior,
+        )
+
+    @torch.inference_mode()
+    def _encode(self, view: View, index: int, roi: Roi) -> EncodedView:
+        config = self.networks.features.config
+        to_crop = crop_matrix(roi.centre, roi.side, config.crop)
+        crop = warp_crop(view.image, to_crop, config.crop)
+        crops = torch.from_numpy(crop).permute(2, 0, 1)[None].float()
+        with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
+            features = self.networks.features(
+                crops.contiguous(memory_format=torch.channels_last), torch.tensor([index])
+            )
+        mean, covariance, score = vote(features)
+        to_grid = grid_matrix(config.stride) @ to_crop
+        return EncodedView(
+            view=view,
+            roi=roi,
+            K_grid=to_grid @ view.K,
+            to_image=np.linalg.inv(to_grid),
+            volume=features.volume[0].float(),
+            vote_mean=mean[0].double().numpy(),
+            vote_covariance=covariance[0].double().numpy(),
+            vote_score=score[0].double().numpy(),
+            mask=torch.sigmoid(features.mask_logits[0].float()).numpy(),
+        )
+
+
+def vote(features: Features2D) -> tuple[Tensor, Tensor, Tensor]:
+    """Votes for the keypoints of B crops.
+
+    A pixel's say is its probability to be on the object times how sure its vector is: vectors are
+    trained to unit length, and shrink where the network hesitates between directions.
+
+    Returns:
+        mean (B, 9, 2), covariance (B, 9, 2, 2) in pixels of the feature grid, and score (B, 9).
+    """
+    directions = features.directions.detach().float()
+    sure = torch.linalg.vector_norm(directions, dim=2).clamp(max=1.0)
+    inside = torch.sigmoid(features.mask_logits.detach().float())
+    inside = torch.where(inside > 0.3, inside, torch.zeros_like(inside))
+    votes = vote_keypoints(directions, inside[:, None] * sure**2)
+    return votes.mean, votes.covariance, votes.score
+
+
+def grid_matrix(stride: int) -> np.ndarray:
+    """The affine map (3, 3) from pixels of a crop to pixels of the feature grid."""
+    offset = (1 - stride) / (2 * stride)
+    return np.array([[1 / stride, 0, offset], [0, 1 / stride, offset], [0, 0, 1.0]])

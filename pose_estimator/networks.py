@@ -1,0 +1,62 @@
+"""The three networks of one set of weights, and the objects they know."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+
+from ..assets.object_model import ObjectModel
+from .detector import Detector, DetectorConfig
+from .features import FeatureConfig, KeypointNet
+from .volume import PRESETS, VolumeNet
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Shapes of all networks.
+
+    Attributes:
+        detector: finds the object in a full frame.
+        features: 2D features of a crop.
+        preset: the volume's, ``fast`` or ``paper``.
+    """
+
+    detector: DetectorConfig = DetectorConfig()
+    features: FeatureConfig = FeatureConfig()
+    preset: str = "fast"
+
+
+class PoseNetworks(nn.Module):
+    """Detector, 2D features and volume for a set of objects.
+
+    Args:
+        objects: the models, in the order of the networks' outputs.
+        config: shapes.
+
+    Raises:
+        ValueError: if the preset is unknown.
+    """
+
+    def __init__(self, objects: Mapping[str, ObjectModel], config: NetworkConfig = NetworkConfig()):
+        super().__init__()
+        if config.preset not in PRESETS:
+            raise ValueError(f"unknown preset {config.preset!r}; there are {', '.join(PRESETS)}")
+        self.objects = dict(objects)
+        self.config = config
+        self.index = {name: number for number, name in enumerate(objects)}
+        self.detector = Detector(len(objects), config.detector)
+        self.features = KeypointNet(len(objects), config.features)
+        self.volume = VolumeNet(config.features.volume_channels, PRESETS[config.preset])
+        self.to(memory_format=torch.channels_last)
+
+
+def has_fast_bfloat16() -> bool:
+    """Whether this CPU multiplies bfloat16 matrices in hardware."""
+    try:
+        flags = open("/proc/cpuinfo").read()
+    except OSError:
+        return False
+    return "avx512_bf16" in flags or "amx_bf16" in flags

@@ -1,0 +1,162 @@
+"""A training loop that can be killed at any moment: checkpoints, resume, log, progress bar."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from safetensors.torch import load_file, save
+from torch import Tensor, nn
+from tqdm import tqdm
+
+from .results import write_atomically
+
+
+class Stage(Protocol):
+    """One thing to train.
+
+    Attributes:
+        name: of the checkpoint files.
+        module: whose trainable parameters are optimised.
+        steps: how many in all.
+        learning_rate: its maximum.
+    """
+
+    name: str
+    module: nn.Module
+    steps: int
+    learning_rate: float
+
+    def batches(self, start: int) -> Iterator[Any]:
+        """Endless batches from number ``start`` on."""
+        ...
+
+    def loss(self, batch: Any) -> tuple[Tensor, dict[str, float]]:
+        """The loss of a batch, and numbers for the log."""
+        ...
+
+    def validate(self) -> dict[str, float]:
+        """Numbers on held-out scenes."""
+        ...
+
+
+@dataclass(frozen=True)
+class LoopConfig:
+    """How the loop runs.
+
+    Attributes:
+        out: folder of checkpoints and logs.
+        checkpoint_every: seconds between checkpoints.
+        validate_every: steps between validations.
+        weight_decay: AdamW's.
+        warm_up: steps until the full learning rate.
+        resume: continue from the last checkpoint of the stage, if there is one.
+    """
+
+    out: Path
+    checkpoint_every: float = 120.0
+    validate_every: int = 500
+    weight_decay: float = 1e-4
+    warm_up: int = 200
+    resume: bool = True
+
+
+def learning_rate(step: int, steps: int, maximum: float, warm_up: int) -> float:
+    """Linear warm-up, then a cosine down to a hundredth."""
+    if step < warm_up:
+        return maximum * (step + 1) / warm_up
+    progress = min(1.0, (step - warm_up) / max(1, steps - warm_up))
+    return maximum * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
+
+
+def run_stage(stage: Stage, config: LoopConfig, log: Callable[[str, int, dict], None]) -> None:
+    """Trains a stage to its last step, from where its last checkpoint left off.
+
+    Raises:
+        FloatingPointError: if the loss is no longer finite.
+    """
+    parameters = [p for p in stage.module.parameters() if p.requires_grad]
+    optimizer = torch.optim.AdamW(
+        parameters, stage.learning_rate, weight_decay=config.weight_decay, foreach=True
+    )
+    checkpoint = config.out / f"{stage.name}.safetensors"
+    step = _resume(stage, optimizer, checkpoint) if config.resume else 0
+    if step >= stage.steps:
+        return
+    saved = time.monotonic()
+    means: dict[str, float] = {}
+    source = stage.batches(step)
+    with tqdm(
+        total=stage.steps, initial=step, desc=stage.name, unit="step", mininterval=5.0
+    ) as bar:
+        while step < stage.steps:
+            for group in optimizer.param_groups:
+                group["lr"] = learning_rate(
+                    step, stage.steps, stage.learning_rate, min(config.warm_up, stage.steps // 5 + 1)
+                )
+            loss, numbers = stage.loss(next(source))
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            norm = nn.utils.clip_grad_norm_(parameters, 5.0)
+            if not torch.isfinite(norm):
+                raise FloatingPointError(
+                    f"{stage.name}: the loss is {float(loss)} at step {step}; resume with a lower "
+                    "--learning-rate"
+                )
+            optimizer.step()
+            step += 1
+            for name, value in numbers.items():
+                means[name] = 0.98 * means.get(name, value) + 0.02 * value
+            bar.update(1)
+            if step % 20 == 0:
+                bar.set_postfix({name: f"{value:.4f}" for name, value in means.items()})
+            if step % 100 == 0:
+                log(stage.name, step, {f"train/{name}": value for name, value in means.items()})
+            if step % config.validate_every == 0 or step == stage.steps:
+                numbers = stage.validate()
+                log(stage.name, step, {f"held_out/{name}": v for name, v in numbers.items()})
+                text = "  ".join(f"{name} {value:.4f}" for name, value in numbers.items())
+                tqdm.write(f"{stage.name} step {step}: {text}")
+            if time.monotonic() - saved > config.checkpoint_every or step == stage.steps:
+                _save(stage, optimizer, checkpoint, step)
+                saved = time.monotonic()
+    getattr(source, "close", lambda: None)()
+
+
+def _save(stage: Stage, optimizer: torch.optim.Optimizer, path: Path, step: int) -> None:
+    tensors = {f"model.{n}": t.contiguous() for n, t in stage.module.state_dict().items()}
+    for number, state in optimizer.state_dict()["state"].items():
+        tensors |= {f"optimizer.{number}.{n}": t.contiguous() for n, t in state.items()}
+    write_atomically(path, save(tensors, {"step": str(step), "steps": str(stage.steps)}))
+
+
+def _resume(stage: Stage, optimizer: torch.optim.Optimizer, path: Path) -> int:
+    """Restores a checkpoint and returns its step; 0 if there is none."""
+    if not path.is_file():
+        return 0
+    tensors = load_file(path)
+    stage.module.load_state_dict(
+        {n.removeprefix("model."): t for n, t in tensors.items() if n.startswith("model.")}
+    )
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, tensor in tensors.items():
+        if name.startswith("optimizer."):
+            _, number, key = name.split(".")
+            state.setdefault(int(number), {})[key] = tensor
+    full = optimizer.state_dict()
+    full["state"] = state
+    optimizer.load_state_dict(full)
+    return read_step(path)
+
+
+def read_step(path: Path) -> int:
+    """The step of a checkpoint."""
+    with open(path, "rb") as file:
+        length = int.from_bytes(file.read(8), "little")
+        return int(json.loads(file.read(length))["__metadata__"]["step"])

@@ -1,0 +1,155 @@
+"""Weights on disk: safetensors for the numbers, JSON for what they are."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+
+from .. import assets
+from .detector import DetectorConfig
+from .features import FeatureConfig
+from .networks import NetworkConfig, PoseNetworks
+from .results import commit, versions, write_atomically
+
+FORMAT = 1
+SHIPPED = Path(assets.__file__).parent / "weights"
+"""Where the weights that come with the package lie."""
+
+
+def save_weights(networks: PoseNetworks, path: str | Path, header: dict[str, Any]) -> None:
+    """Writes weights in half precision, with their header beside them.
+
+    Args:
+        networks: what to save.
+        path: the ``.safetensors`` file; the header goes to ``.json`` beside it.
+        header: what the weights are: training data, measured accuracy. The objects, shapes, versions
+            and the commit are added.
+    """
+    path = Path(path)
+    tensors = {
+        name: (
+            value.detach().half() if value.is_floating_point() and "running" not in name else value
+        ).contiguous()
+        for name, value in networks.state_dict().items()
+        if not name.endswith("num_batches_tracked")
+    }
+    full = {
+        "format": FORMAT,
+        "objects": {
+            name: {"obj_id": model.obj_id, "diameter": model.diameter}
+            for name, model in networks.objects.items()
+        },
+        "networks": asdict(networks.config),
+        "versions": versions(),
+        "commit": commit(),
+        **header,
+    }
+    write_atomically(path, save(tensors))
+    write_atomically(path.with_suffix(".json"), (json.dumps(full, indent=1) + "\n").encode())
+
+
+def read_header(path: str | Path) -> dict[str, Any]:
+    """The header of a weights file.
+
+    Raises:
+        FileNotFoundError: if it is missing.
+        ValueError: if it cannot be read.
+    """
+    path = Path(path).with_suffix(".json")
+    if not path.is_file():
+        raise FileNotFoundError(f"weights header {path} is missing (it lies beside the weights)")
+    try:
+        header = json.loads(path.read_text())
+        if header["format"] != FORMAT:
+            raise ValueError(f"format {header['format']}, this version reads {FORMAT}")
+        return header
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"weights header {path} cannot be read: {error}") from error
+
+
+def find_weights(weights: str | Path) -> Path:
+    """The file of shipped weights by name, or of a user's weights by path.
+
+    Raises:
+        FileNotFoundError: naming the shipped weights there are.
+    """
+    path = Path(weights)
+    if path.suffix == ".safetensors":
+        if path.is_file():
+            return path
+        raise FileNotFoundError(f"weights file {path} does not exist")
+    shipped = SHIPPED / f"{weights}.safetensors"
+    if shipped.is_file():
+        return shipped
+    names = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.safetensors"))) or "none"
+    raise FileNotFoundError(
+        f"there are no weights named {str(weights)!r}; shipped weights: {names}. Give one of these, "
+        "a path to a .safetensors file, or train some: python -m two_view_pose train-estimator --help"
+    )
+
+
+@cache
+def _load_cached(path: Path, modified: int) -> PoseNetworks:
+    return read_networks(path)
+
+
+def load_networks(weights: str | Path = "linemod") -> PoseNetworks:
+    """Networks in evaluation mode, read once a process.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`find_weights` and :func:`read_networks`.
+    """
+    path = find_weights(weights)
+    return _load_cached(path.resolve(), path.stat().st_mtime_ns).eval()
+
+
+def read_networks(path: str | Path) -> PoseNetworks:
+    """Builds the networks that a weights file describes. Runs no code from the file.
+
+    Objects that the header gives a mesh for are read from it; others are the built ones.
+
+    Raises:
+        ValueError: if the file is damaged, or does not fit its header.
+    """
+    path = Path(path)
+    header = read_header(path)
+    try:
+        shapes = header["networks"]
+        config = NetworkConfig(
+            detector=DetectorConfig(**shapes["detector"]),
+            features=FeatureConfig(**shapes["features"]),
+            preset=shapes["preset"],
+        )
+        objects = {
+            name: assets.load_object(entry.get("mesh", name))
+            for name, entry in header["objects"].items()
+        }
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"the header of {path} does not describe networks: {error}") from error
+    networks = PoseNetworks(objects, config)
+    try:
+        tensors = load_file(path)
+    except (SafetensorError, OSError) as error:
+        raise ValueError(f"weights file {path} is damaged: {error}") from error
+    if not all(torch.isfinite(t).all() for t in tensors.values() if t.is_floating_point()):
+        raise ValueError(f"weights file {path} is damaged: it holds NaN or infinite numbers")
+    expected = {
+        name: value
+        for name, value in networks.state_dict().items()
+        if not name.endswith("num_batches_tracked")
+    }
+    wrong = [n for n in expected if n not in tensors or tensors[n].shape != expected[n].shape]
+    if wrong or len(tensors) != len(expected):
+        raise ValueError(
+            f"weights file {path} does not fit its header: "
+            f"{', '.join(wrong[:3]) or 'more tensors than the networks have'}"
+        )
+    networks.load_state_dict({n: t.float() for n, t in tensors.items()}, strict=False)
+    return networks.eval()
