@@ -7,7 +7,7 @@ one comes near.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -129,7 +129,7 @@ class _Search:
             T = self.place_camera(arrangement)
             if self.try_rotations(arrangement, T, _ROTATIONS, miss, _TOLERANCE):
                 break
-            if self.slide_occluder(T, wish):
+            if self.slide_occluder(wish):
                 break
         return self.result()
 
@@ -199,7 +199,7 @@ class _Search:
         arrangement: Arrangement,
         T_cam_world: np.ndarray,
         count: int,
-        miss,
+        miss: Callable[[float], float],
         enough: float,
     ) -> bool:
         """Turns the table under the camera in steps; whether one comes near enough."""
@@ -209,18 +209,69 @@ class _Search:
             turned = arrangement.rotated(centre, start + 2 * np.pi * k / count)
             if not all(on_table(p, TABLE_HALF) for p in turned.placed()):
                 continue
-            if self.measure(turned, T_cam_world, miss) <= enough:
+            if self.measure(turned, T_cam_world, miss)[1] <= enough:
                 return True
         if self.best is None:
             self.measure(arrangement, T_cam_world, miss)
         return False
 
-    def slide_occluder(self, T_cam_world: np.ndarray, wish: float) -> bool:
-        """Bisects the sideways place of a box between camera and target."""
+    def slide_occluder(self, wish: float) -> bool:
+        """Slides something sideways between camera and target until enough of it is hidden.
+
+        The nearer it is to the line of sight the more it hides, so a bisection finds its place.
+        """
+        assert self.best is not None
+        _, base, T_cam_world, visibility = self.best
+        if visibility < wish:
+            return False
+        target = base.objects[self.target].placed
+        towards = -T_cam_world[:3, :3].T @ T_cam_world[:3, 3]
+        towards = towards[:2] - target.xy
+        towards /= max(float(np.linalg.norm(towards)), 1e-9)
+        sideways = np.array([-towards[1], towards[0]]) * self.rng.choice((-1.0, 1.0))
+        for name, occluder in self.occluders(base):
+            reach = target.resting.radius + occluder.placed.resting.radius + 0.004
+            near, far = 0.0, reach
+            for step in range(_BISECTIONS):
+                lateral = near if step == 0 else (near + far) / 2
+                xy = target.xy + reach * towards + lateral * sideways
+                tried = _with(base, name, replace(occluder, placed=occluder.placed.moved(xy)))
+                if not all(on_table(p, TABLE_HALF) for p in tried.placed()):
+                    break
+                visibility, missed = self.measure(tried, T_cam_world, lambda v: abs(v - wish))
+                if missed <= _TOLERANCE:
+                    return True
+                if visibility < wish:
+                    near = lateral
+                elif step == 0:
+                    break  # too small to hide enough
+                else:
+                    far = lateral
         return False
 
-    def measure(self, arrangement: Arrangement, T_cam_world: np.ndarray, miss) -> float:
-        """Shows an arrangement, measures it and keeps it if it is the best so far."""
+    def occluders(self, base: Arrangement) -> list[tuple[str | int, Thing]]:
+        """Things to hide the target behind: two tall neighbours, then a box that is tall enough."""
+        target = base.objects[self.target].placed.resting
+        tall: list[tuple[str | int, Thing]] = [
+            (name, thing)
+            for name, thing in base.objects.items()
+            if name != self.target and thing.placed.resting.height > 0.6 * target.height
+        ]
+        chosen = [tall[i] for i in self.rng.permutation(len(tall))[:2]]
+        boxes = [i for i, kind in enumerate(SHAPE_KINDS) if kind == "box" and i not in base.shapes]
+        if boxes:
+            wide = self.rng.uniform(0.6, 1.0) * target.radius
+            high = 0.5 * target.height * self.rng.uniform(0.9, 1.4)
+            size = np.clip((wide, self.rng.uniform(0.015, 0.05), high), 0.015, 0.16)
+            angle = self.rng.uniform(-np.pi, np.pi)
+            box = Placed(resting_shape("box", size), np.zeros(2), angle)
+            chosen.append((boxes[0], Thing(box, size)))
+        return chosen
+
+    def measure(
+        self, arrangement: Arrangement, T_cam_world: np.ndarray, miss: Callable[[float], float]
+    ) -> tuple[float, float]:
+        """Shows an arrangement and keeps it if it is the best so far; its visibility and miss."""
         self.scene.show(arrangement)
         T_world_obj = arrangement.objects[self.target].placed.T_world_obj
         points = transform(T_cam_world @ T_world_obj, self.vertices)
@@ -235,7 +286,21 @@ class _Search:
         missed = miss(visibility)
         if self.best is None or missed < self.best[0]:
             self.best = (missed, arrangement, T_cam_world, visibility)
-        return missed
+        return visibility, missed
+
+
+def _with(base: Arrangement, name: str | int, thing: Thing) -> Arrangement:
+    """``thing`` joins an arrangement; what it would touch leaves."""
+    rest = {
+        key: other
+        for key, other in (*base.objects.items(), *base.shapes.items())
+        if key != name and free(other.placed, [thing.placed])
+    }
+    rest[name] = thing
+    return Arrangement(
+        {key: t for key, t in rest.items() if isinstance(key, str)},
+        {key: t for key, t in rest.items() if isinstance(key, int)},
+    )
 
 
 def draw_size(rng: np.random.Generator, kind: str) -> np.ndarray:
@@ -245,6 +310,3 @@ def draw_size(rng: np.random.Generator, kind: str) -> np.ndarray:
     if kind == "cylinder":
         return np.array([rng.uniform(0.02, 0.05), rng.uniform(0.015, 0.1), 0.0])
     return np.array([rng.uniform(0.02, 0.05), 0.0, 0.0])
-
-
-__all__ = ["Arrangement", "Thing", "arrange", "draw_size", "free"]
