@@ -100,35 +100,30 @@ def soft_ransac(
     config = SoftRansacConfig() if config is None else config
     model_points, predicted = _check_points(model_points, predicted)
     with torch.autocast(predicted.device.type, enabled=False):
-        triangles = _model_triangles(model_points)
-        rotations, centroids, flat = _triangle_fits(triangles, predicted)
+        rotations, translations, flatness = _three_point_fits(model_points, predicted)
 
-        # (B, H, 3, K): each hypothesis applied to all model points.
-        moved = rotations @ triangles.local_points + centroids[..., None]
-        squared = (moved - predicted.transpose(1, 2)[:, None]).square().sum(dim=2)
-        distances = (squared + 1e-12).sqrt()  # smooth at zero
+        # (B, 3, H, K): each hypothesis applied to all model points.
+        moved = (rotations.flatten(1, 2) @ model_points.transpose(-1, -2)).unflatten(1, (3, -1))
+        misses = moved + translations[..., None] - predicted.transpose(1, 2)[:, :, None]
+        distances = (misses.square().sum(dim=1) + 1e-12).sqrt()  # smooth at zero
         gamma1, gamma2 = (
             torch.as_tensor(g, dtype=predicted.dtype, device=predicted.device).reshape(-1, 1, 1)
             for g in (config.gamma1, config.gamma2)
         )
         inliers = torch.sigmoid(gamma1 * (gamma2 - distances))
-        if weights is not None:
-            inliers = inliers * weights.to(inliers.dtype)[:, None]
-        scores = inliers.sum(dim=-1)
+        if weights is None:
+            weights = predicted.new_ones(predicted.shape[:2])
+        scores = (inliers @ weights.to(inliers.dtype)[..., None])[..., 0]
 
         # softmax(p log s) = s^p / sum s^p. Degenerate triples come last: if a pose has no others,
         # the least degenerate ones still make a finite answer.
-        penalty = 1e4 * flat.to(scores.dtype) + 2e4 * triangles.flat.to(scores.dtype)
-        alpha = torch.softmax(config.sharpness * (scores + 1e-12).log() - penalty, dim=-1)
-
-        mean_rotation = torch.einsum(
-            "bh,bhij->bij", alpha, rotations @ triangles.frames.transpose(-1, -2)
-        )
+        alpha = torch.softmax(config.sharpness * (scores + 1e-12).log() - 1e4 * flatness, dim=-1)
+        mean_rotation = (alpha[:, None, None] @ rotations)[:, :, 0]
+        mean_translation = (alpha[:, None] * translations).sum(dim=-1)
         rotation = project_to_rotation(mean_rotation)
-        # Where the hypotheses put the model's centroid; a rotation turns about it.
-        moved_centroid = torch.einsum("bh,bhi->bi", alpha, moved.mean(dim=-1))
-        model_centroid = model_points.mean(dim=-2)
-        translation = moved_centroid - (rotation @ model_centroid[..., None])[..., 0]
+        # A rotation turns about the model's centroid, which stays where the hypotheses put it.
+        centroid = model_points.mean(dim=-2)[..., None]
+        translation = mean_translation + ((mean_rotation - rotation) @ centroid)[..., 0]
     return SoftRansacResult(rotation, translation, alpha)
 
 
@@ -200,100 +195,85 @@ class _ProjectToRotation(torch.autograd.Function):
         return rotation @ vt.transpose(-1, -2) @ skew @ vt
 
 
-@dataclass(frozen=True, eq=False)
-class _ModelTriangles:
-    """What the fits need of the model: (..., H triples), one leading axis if the model has one.
-
-    Attributes:
-        corners: (H, 3) indices of the keypoints.
-        frames: (..., H, 3, 3), columns: an in-plane axis, the other, the normal.
-        corners_2d: (..., H, 3, 2), centred corners in the plane.
-        local_points: (..., H, 3, K), all keypoints in the triangle's frame.
-        area: (..., H), twice the area.
-        flat: (..., H) bool, collinear.
-    """
-
-    corners: torch.Tensor
-    frames: torch.Tensor
-    corners_2d: torch.Tensor
-    local_points: torch.Tensor
-    area: torch.Tensor
-    flat: torch.Tensor
-
-
-@torch.no_grad()
-def _model_triangles(points: torch.Tensor) -> _ModelTriangles:
-    corners = _triples(points.shape[-2], points.device)
-    triangles = _gather(points, corners)
-    centroid = triangles.mean(dim=-2)
-    edge_a = triangles[..., 1, :] - triangles[..., 0, :]
-    edge_b = triangles[..., 2, :] - triangles[..., 0, :]
-    cross = torch.linalg.cross(edge_a, edge_b)
-    area = cross.norm(dim=-1)
-    longest = torch.stack([edge_a, edge_b, edge_b - edge_a]).square().sum(dim=-1).amax(dim=0)
-    flat = area < _FLATTEST_MODEL_TRIANGLE * longest
-    flat |= longest <= 0
-    if flat.all(dim=-1).any():
-        raise ValueError(
-            "model_points lie on one line (or in one point): they do not determine a rotation"
-        )
-    # A finite stand-in for collinear triples, which get no weight.
-    fallback = torch.eye(3, dtype=points.dtype, device=points.device)
-    first = torch.where(flat[..., None], fallback[0], edge_a)
-    first = first / first.norm(dim=-1, keepdim=True)
-    normal = torch.where(flat[..., None], fallback[2], cross)
-    normal = normal / normal.norm(dim=-1, keepdim=True)
-    frames = torch.stack([first, torch.linalg.cross(normal, first), normal], dim=-1)
-    local_corners = (triangles - centroid[..., None, :]) @ frames
-    local_points = (points[..., None, :, :] - centroid[..., None, :]) @ frames
-    return _ModelTriangles(
-        corners=corners,
-        frames=frames,
-        corners_2d=local_corners[..., :2],
-        local_points=local_points.transpose(-1, -2),
-        area=area,
-        flat=flat,
-    )
-
-
-def _triangle_fits(
-    model: _ModelTriangles, predicted: torch.Tensor
+def _three_point_fits(
+    model_points: torch.Tensor, predicted: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Kabsch of every triple in closed form.
 
     Returns:
-        Rotations (B, H, 3, 3) from the *triangle's frame* to the camera, centroids (B, H, 3), and
-        which predicted triples are degenerate (B, H).
+        Rotations (B, 3, H, 3), the hypotheses on the third axis; translations (B, 3, H); and how
+        degenerate each triple is (B, H): 0 for sound ones, 1 if the predicted points are on one
+        line, 2 if the model's are.
     """
-    triangles = _gather(predicted, model.corners)
-    centroids = triangles.mean(dim=-2)
-    edge_a = triangles[..., 1, :] - triangles[..., 0, :]
-    edge_b = triangles[..., 2, :] - triangles[..., 0, :]
+    corners = _triples(predicted.shape[1], predicted.device)
+    with torch.no_grad():
+        model_first, model_a, model_b = _corner_and_edges(model_points, corners)
+        frames, model_area, model_flat = _model_frames(model_points, model_a, model_b)
+        # The corners 1 and 2, less the centroid and times three, in the plane of the triangle.
+        a_x = (model_a * frames[0]).sum(dim=-1, keepdim=True)
+        b_x = (model_b * frames[0]).sum(dim=-1, keepdim=True)
+        b_y = (model_b * frames[1]).sum(dim=-1, keepdim=True)
+        model_centroid = model_first + (model_a + model_b) / 3
+
+    first, edge_a, edge_b = _corner_and_edges(predicted, corners)
     cross = torch.linalg.cross(edge_a, edge_b)
-    flat = cross.detach().norm(dim=-1) <= _FLATTEST_PREDICTED_TRIANGLE * model.area
-    flat |= model.flat
+    flat = cross.detach().norm(dim=-1) <= _FLATTEST_PREDICTED_TRIANGLE * model_area
+    unusable = (flat | model_flat)[..., None]
     # Stand-ins keep the unused branch finite, so that its zero gradient is zero and not NaN.
     axes = torch.eye(3, dtype=predicted.dtype, device=predicted.device)
-    normal = torch.where(flat[..., None], axes[2], cross)
-    normal = normal / normal.norm(dim=-1, keepdim=True)
-    # In the plane, with points as complex numbers, the best turn is along sum b conj(a).
-    h = (triangles - centroids[..., None, :]).transpose(-1, -2) @ model.corners_2d
-    turn = h[..., 0] - torch.linalg.cross(normal, h[..., 1])
-    turn = torch.where(flat[..., None], axes[0], turn)
-    turn = turn / turn.norm(dim=-1, keepdim=True)
-    rotations = torch.stack([turn, torch.linalg.cross(normal, turn), normal], dim=-1)
-    return rotations, centroids, flat
+    normal = _unit(torch.where(unusable, axes[2], cross))
+    # In the plane, with points as complex numbers, the best turn is along sum b conj(a). The a are
+    # centred, so the b need not be, and corner 0 may be their origin.
+    real = edge_a * (2 * a_x - b_x) + edge_b * (2 * b_x - a_x)
+    imaginary = (2 * edge_b - edge_a) * b_y
+    turn = real - torch.linalg.cross(normal, imaginary)
+    turn = _unit(torch.where(unusable, axes[0], turn))
+    triad = (turn, torch.linalg.cross(normal, turn), normal)
+
+    rotations = sum(
+        ours.transpose(1, 2)[..., None] * theirs.unsqueeze(-3)
+        for ours, theirs in zip(triad, frames, strict=True)
+    )
+    centroid = first + (edge_a + edge_b) / 3
+    translations = centroid.transpose(1, 2) - (rotations * model_centroid.unsqueeze(-3)).sum(dim=-1)
+    flatness = flat.to(predicted.dtype) + 2 * model_flat.to(predicted.dtype)
+    return rotations, translations, flatness
 
 
-def _gather(points: torch.Tensor, corners: torch.Tensor) -> torch.Tensor:
-    """(..., K, 3) at (H, 3) indices: (..., H, 3, 3), one row a corner."""
-    gathered = points.index_select(-2, corners.reshape(-1))
-    return gathered.unflatten(-2, corners.shape)
+def _model_frames(
+    points: torch.Tensor, edge_a: torch.Tensor, edge_b: torch.Tensor
+) -> tuple[tuple[torch.Tensor, torch.Tensor, torch.Tensor], torch.Tensor, torch.Tensor]:
+    """Axes of the model's triangles (along an edge, across it, normal), areas, and who is flat."""
+    cross = torch.linalg.cross(edge_a, edge_b)
+    area = cross.norm(dim=-1)
+    longest = torch.stack([edge_a, edge_b, edge_b - edge_a]).square().sum(dim=-1).amax(dim=0)
+    flat = (area < _FLATTEST_MODEL_TRIANGLE * longest) | (longest <= 0)
+    if flat.all(dim=-1).any():
+        raise ValueError(
+            "model_points lie on one line (or in one point): they do not determine a rotation"
+        )
+    axes = torch.eye(3, dtype=points.dtype, device=points.device)
+    along = _unit(torch.where(flat[..., None], axes[0], edge_a))
+    normal = _unit(torch.where(flat[..., None], axes[2], cross))
+    return (along, torch.linalg.cross(normal, along), normal), area, flat
+
+
+def _corner_and_edges(
+    points: torch.Tensor, corners: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """First corner of each triple and the edges to the other two, (..., H, 3) each."""
+    first, second, third = (points.index_select(-2, index) for index in corners)
+    return first, second - first, third - first
+
+
+def _unit(vectors: torch.Tensor) -> torch.Tensor:
+    return vectors / vectors.norm(dim=-1, keepdim=True)
 
 
 @lru_cache(maxsize=16)
 def _triples(count: int, device: torch.device) -> torch.Tensor:
-    return torch.tensor(list(combinations(range(count), 3)), device=device)
+    """Indices of all three-point subsets, (3, H)."""
+    return torch.tensor(list(combinations(range(count), 3)), device=device).T.contiguous()
 
 
 def _check_points(
