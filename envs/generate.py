@@ -10,6 +10,8 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import signal
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -205,8 +207,18 @@ def _start_worker(config: GenerateConfig) -> None:
 
     from .scene_writer import SceneMaker
 
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it and ends its workers
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
     _maker = SceneMaker(config)
+
+
+def _leave_with_parent() -> None:
+    """Ends a worker whose parent was killed: its queue alone would keep it waiting for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _make_one(scene_id: int) -> None:
