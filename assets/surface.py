@@ -132,6 +132,7 @@ def stable_poses(mesh: trimesh.Trimesh, max_tilt: float = 0.1) -> np.ndarray:
 
 
 def _on_the_table(rotation: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Rotates, centres the origin over the table's origin and lets the lowest point touch z = 0."""
-    height = float((vertices @ rotation[2]).min())
-    return make_transform(rotation, np.array([0.0, 0.0, -height]))
+    """Rotates, puts the middle over the table's origin and lets the lowest point touch z = 0."""
+    turned = vertices @ rotation.T
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    return make_transform(rotation, -np.array([*(low + high)[:2] / 2, low[2]]))

@@ -37,13 +37,13 @@ YELLOW = (0.93, 0.74, 0.16)
 def can() -> Solid:
     """A watering can: spout towards +y, handle arching over the opening."""
     axis = -41.0
-    body = cylinder((0, axis, 0), (0, axis, 128), 50, 46, rounding=9)
+    body = cylinder((0, axis, 0), (0, axis, 128), 50, 46, rounding=7)
     opening = cylinder((0, axis, 116), (0, axis, 140), 38)
     handle = intersect(
         torus((0, axis, 138), (1, 0, 0), 47, 6.5), half_space((0, 0, 122), (0, 0, -1))
     )
-    spout = capsule((0, 0, 30), (0, 72, 78), 13, 8)
-    rose = cylinder((0, 66, 74), (0, 85, 87), 8, 20, rounding=2)
+    spout = capsule((0, 0, 30), (0, 72, 80), 13, 8)
+    rose = cylinder((0, 66, 76), (0, 84, 90), 8, 21, rounding=2)
     band = intersect(
         half_space((0, 0, 34), (0, 0, 1)), half_space((0, 0, 22), (0, 0, -1)), _grown(body, 1)
     )

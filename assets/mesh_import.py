@@ -1,0 +1,216 @@
+"""Anyone's mesh as an object: one texture, metres, few enough triangles, keypoints, resting poses.
+
+Per-vertex colours, per-face colours and textures are all read as colours of points spread densely
+over the original surface, and baked from there. So the mesh may be thinned out, cut into charts
+and put together from many parts without a thought for where its colours came from.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from functools import lru_cache
+from pathlib import Path
+
+import fast_simplification
+import numpy as np
+import trimesh
+from scipy.spatial import KDTree
+
+from ..pose_estimator.geometry import check_rigid
+from . import surface, texture
+from .object_model import ObjectModel
+from .surface_colours import NORMAL_WEIGHT, sample_colours
+
+MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb")
+"""What `import_mesh` reads."""
+
+MAX_FACES = 4000
+"""Heavier meshes are thinned out; the renderer's time goes with the number of faces."""
+
+TEXTURE_SIZE = 512
+UNITS = {"m": 1.0, "mm": 1e-3}
+
+_METRES = (0.02, 1.0)
+_MILLIMETRES = (20.0, 1000.0)
+_SANE = (1e-3, 10.0)
+
+
+def import_mesh(
+    path: str | Path,
+    name: str | None = None,
+    *,
+    unit: str = "auto",
+    symmetries: np.ndarray | None = None,
+) -> ObjectModel:
+    """Reads a mesh file; the second call with the same arguments returns the same instance.
+
+    The object keeps the file's own frame, only scaled to metres, so that poses mean what they mean
+    for the file. The ninth keypoint is the centre of the bounding box. Where BOP's
+    ``models_info.json`` lies beside the file, symmetries, diameter and name come from there.
+
+    Args:
+        path: PLY, OBJ, STL or GLB; all parts of a scene become one object.
+        name: of the object; the file's name without ending by default.
+        unit: "m", "mm", or "auto": a diameter of 0.02 to 1 is taken as metres, of 20 to 1000 as
+            millimetres.
+        symmetries: (S, 4, 4) transforms in metres under which the object looks the same.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if the file is no readable mesh, has no faces or NaN vertices, if its unit is
+            not evident or its size implausible, or ``symmetries`` are not rigid transforms.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"mesh file {path} does not exist")
+    if unit != "auto" and unit not in UNITS:
+        raise ValueError(f"unit must be 'auto', 'm' or 'mm', got {unit!r}")
+    given = None if symmetries is None else _check_symmetries(symmetries)
+    state = path.stat()
+    return _import(path.resolve(), name, unit, given, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=64)
+def _import(
+    path: Path, name: str | None, unit: str, symmetries: bytes | None, modified: int, size: int
+) -> ObjectModel:
+    """Imports; ``modified`` and ``size`` only make a changed file another cache entry."""
+    parts = _read_parts(path)
+    info = _bop_info(path)
+    corners = np.concatenate([part.vertices for part in parts])
+    measured = surface.diameter(corners)
+    scale = UNITS["mm"] if unit == "auto" and info is not None else _scale(measured, unit, path)
+    for part in parts:
+        part.apply_scale(scale)
+
+    mesh = _lighten(_weld(parts))
+    points, normals, colours = sample_colours(parts)
+    reach = NORMAL_WEIGHT * measured * scale  # tells the two sides of a thin wall apart
+    tree = KDTree(np.concatenate([points, reach * normals], axis=1))
+
+    def colour_at(places: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        _, nearest = tree.query(np.concatenate([places, reach * directions], axis=1))
+        return colours[nearest]
+
+    vertices, faces, uv = texture.unwrap(mesh, TEXTURE_SIZE)
+    picture = texture.bake(vertices, faces, uv, colour_at, TEXTURE_SIZE)
+    transforms = np.eye(4)[None]
+    if symmetries is not None:
+        transforms = np.frombuffer(symmetries).reshape(-1, 4, 4).copy()
+    elif info is not None:
+        transforms = info.symmetries
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    return ObjectModel(
+        name=name or (info.name if info is not None and info.name else path.stem),
+        obj_id=_number(path.stem),
+        vertices=vertices,
+        faces=faces,
+        uv=uv,
+        texture=picture,
+        keypoints=surface.keypoints(vertices, centre, transforms),
+        diameter=measured * scale if info is None else info.diameter,
+        symmetries=transforms,
+        points=surface.even_points(mesh),
+        stable_poses=surface.stable_poses(mesh),
+    )
+
+
+def _read_parts(path: Path) -> list[trimesh.Trimesh]:
+    """All meshes of a file in its own frame and unit, each with its colours."""
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise ValueError(f"{path.name} must be one of {', '.join(MESH_SUFFIXES)}")
+    try:
+        scene = trimesh.load_scene(path, process=False)
+        parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
+    except Exception as error:  # readers of broken files fail in every way there is
+        raise ValueError(f"{path} cannot be read as a mesh: {error!r}") from error
+    parts = [part for part in parts if len(part.faces)]
+    if not parts:
+        raise ValueError(f"{path} has no faces: a surface is needed, not points")
+    for part in parts:
+        if not np.isfinite(part.vertices).all():
+            bad = int((~np.isfinite(part.vertices).all(axis=1)).sum())
+            raise ValueError(f"{path} has NaN or infinite coordinates in {bad} vertices")
+        if part.faces.min() < 0 or part.faces.max() >= len(part.vertices):
+            raise ValueError(f"{path} has faces with vertices that it does not have")
+    return parts
+
+
+def _scale(diameter: float, unit: str, path: Path) -> float:
+    """What the file's numbers are multiplied with to be metres."""
+    if unit == "auto":
+        for guess, (low, high) in (("m", _METRES), ("mm", _MILLIMETRES)):
+            if low <= diameter <= high:
+                return UNITS[guess]
+        raise ValueError(
+            f"the unit of {path} is not evident: its diameter is {diameter:g}, and "
+            f"{_METRES[0]:g} to {_METRES[1]:g} would be metres, {_MILLIMETRES[0]:g} to "
+            f"{_MILLIMETRES[1]:g} millimetres; say unit='m' or unit='mm' to import_mesh, or scale "
+            "the file"
+        )
+    metres = diameter * UNITS[unit]
+    if not _SANE[0] <= metres <= _SANE[1]:
+        raise ValueError(
+            f"{path} has a diameter of {diameter:g} {unit} = {metres:g} m; objects must be "
+            f"{_SANE[0]:g} to {_SANE[1]:g} m"
+        )
+    return UNITS[unit]
+
+
+def _weld(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """One mesh without colours; vertices at one place become one."""
+    offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    vertices = np.concatenate([part.vertices for part in parts])
+    faces = np.concatenate([part.faces + o for part, o in zip(parts, offsets, strict=False)])
+    mesh = trimesh.Trimesh(vertices, faces)
+    mesh.update_faces(mesh.unique_faces() & mesh.nondegenerate_faces(height=0.0))
+    mesh.remove_unreferenced_vertices()
+    if not len(mesh.faces):
+        raise ValueError("the mesh has no faces of positive area")
+    if np.linalg.matrix_rank(mesh.vertices - mesh.vertices[0], tol=1e-9) < 3:
+        raise ValueError("the mesh is flat: an object needs some thickness")
+    mesh.fix_normals()
+    return mesh
+
+
+def _lighten(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Quadric edge collapse to ``MAX_FACES``."""
+    if len(mesh.faces) <= MAX_FACES:
+        return mesh
+    size = float(mesh.extents.max())  # the collapse's thresholds are lengths
+    for pace in (3.0, 5.0, 7.0):
+        vertices, faces = fast_simplification.simplify(
+            mesh.vertices / size, mesh.faces, target_count=MAX_FACES, agg=pace
+        )
+        light = trimesh.Trimesh(vertices * size, faces)
+        light.update_faces(light.nondegenerate_faces(height=0.0))
+        light.remove_unreferenced_vertices()
+        if len(light.faces) <= MAX_FACES:
+            break
+    return light
+
+
+def _bop_info(path: Path):
+    """What a BOP ``models_info.json`` beside the file says of it, or None."""
+    if not re.fullmatch(r"obj_\d+", path.stem) or not (path.parent / "models_info.json").is_file():
+        return None
+    from ..pose_estimator.bop import read_models_info
+
+    return read_models_info(path.parent.parent, path.parent.name).get(_number(path.stem))
+
+
+def _number(stem: str) -> int:
+    """BOP's number in names like obj_000005; for others one of six digits made from the name."""
+    match = re.fullmatch(r"obj_(\d+)", stem)
+    return int(match[1]) if match else 100_000 + zlib.crc32(stem.encode()) % 900_000
+
+
+def _check_symmetries(symmetries: np.ndarray) -> bytes:
+    """Rigid transforms (S, 4, 4), identity first, as bytes: a key for the cache."""
+    array = np.asarray(symmetries, dtype=np.float64)
+    if array.ndim != 3 or array.shape[1:] != (4, 4) or not len(array):
+        raise ValueError(f"symmetries must have the shape (S, 4, 4), got {array.shape}")
+    checked = [check_rigid(T, f"symmetries[{i}]") for i, T in enumerate(array)]
+    others = [T for T in checked if not np.allclose(T, np.eye(4), atol=1e-9)]
+    return np.stack([np.eye(4), *others]).tobytes()
