@@ -15,6 +15,7 @@ from typing import Any
 INSTALL_HINT = "apt-get install -y libegl1 libgl1-mesa-dri   (or: apt-get install -y libosmesa6)"
 
 _backend: str | None = None
+_process: int | None = None
 
 
 class GraphicsUnavailable(RuntimeError):
@@ -34,9 +35,17 @@ def open_context(width: int, height: int) -> Any:
         height: its height.
 
     Raises:
-        GraphicsUnavailable: if no back-end works, or the one that MUJOCO_GL names does not.
+        GraphicsUnavailable: if no back-end works, or the one that MUJOCO_GL names does not, or in
+            a process forked from one that had rendered (OpenGL's threads do not survive a fork,
+            and drawing would wait for them for ever).
     """
-    global _backend
+    global _backend, _process
+    if _process is not None and _process != os.getpid():
+        raise GraphicsUnavailable(
+            "this process was forked from one that had already rendered, which OpenGL does not "
+            'survive: start workers with the "spawn" or "forkserver" method, or before the first '
+            "picture"
+        )
     wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
     candidates: tuple[str, ...]
     if _backend is not None:
@@ -61,7 +70,7 @@ def open_context(width: int, height: int) -> Any:
             if _backend is None:
                 _forget_platform()
         else:
-            _backend = name
+            _backend, _process = name, os.getpid()
             return context
     raise GraphicsUnavailable(
         f"no OpenGL that draws without a screen. Install one: {INSTALL_HINT}. Tried "

@@ -10,12 +10,15 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import trimesh
 
 from ..assets.object_model import ObjectModel
-from ..pose_estimator.geometry import make_transform
+from ..pose_estimator.geometry import make_transform, transform
 
 GAP = 0.003
 """Least distance between two footprints in metres."""
+STEADY = 0.003
+"""How far inside its support a thing's weight must act to be left lying that way, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +75,12 @@ class Placed:
 
 
 def resting_poses(model: ObjectModel) -> list[Resting]:
-    """All the ways an object rests; upright is the first."""
-    hull = model.vertices
-    return [_rest(hull, T) for T in model.stable_poses]
+    """The ways an object rests, upright first; precarious ones are left out."""
+    mesh = trimesh.Trimesh(model.vertices, model.faces)
+    centre = mesh.center_mass if mesh.is_volume else mesh.convex_hull.center_mass
+    upright, *others = model.stable_poses
+    steady = [T for T in others if _support_margin(model.vertices, centre, T) > STEADY]
+    return [_rest(model.vertices, T) for T in (upright, *steady)]
 
 
 def resting_shape(kind: str, size: np.ndarray) -> Resting:
@@ -163,8 +169,16 @@ def pack(
     return None
 
 
+def _support_margin(vertices: np.ndarray, centre_of_mass: np.ndarray, T: np.ndarray) -> float:
+    """How far inside the polygon it stands on a thing's weight acts, metres."""
+    points = transform(T, vertices)
+    feet = points[points[:, 2] < points[:, 2].min() + 0.0005, :2].astype(np.float32)
+    weight = transform(T, centre_of_mass)[:2]
+    return cv2.pointPolygonTest(cv2.convexHull(feet), weight.tolist(), True)
+
+
 def _rest(vertices: np.ndarray, T: np.ndarray) -> Resting:
-    points = vertices @ T[:3, :3].T + T[:3, 3]
+    points = transform(T, vertices)
     outline = cv2.convexHull(points[:, :2].astype(np.float32))[:, 0].astype(np.float64)
     centre = (outline.min(axis=0) + outline.max(axis=0)) / 2
     low, high = points[:, 2].min(), points[:, 2].max()

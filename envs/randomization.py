@@ -9,9 +9,17 @@ import numpy as np
 
 from .sensor import SensorConfig
 from .textures import PATTERNS, procedural_texture
-from .world import LIGHTS, SHAPE_TEXTURE, SHAPE_TEXTURES, World
+from .world import (
+    FLOOR_TEXTURE,
+    LIGHTS,
+    SHAPE_TEXTURE,
+    SHAPE_TEXTURES,
+    TABLE_TEXTURE,
+    WALL_TEXTURE,
+    World,
+)
 
-_ROOM = {"table": 512, "wall": 256, "floor": 256}
+_ROOM = {"table": TABLE_TEXTURE, "wall": WALL_TEXTURE, "floor": FLOOR_TEXTURE}
 
 
 @dataclass(frozen=True)
@@ -39,8 +47,8 @@ class Randomization:
 
     lights: tuple[int, int] = (1, 3)
     lamp_elevation: tuple[float, float] = (np.deg2rad(42.0), np.deg2rad(85.0))
-    lamp_power: tuple[float, float] = (0.5, 0.85)
-    ambient: tuple[float, float] = (0.3, 0.5)
+    lamp_power: tuple[float, float] = (0.4, 0.75)
+    ambient: tuple[float, float] = (0.28, 0.45)
     colour_temperature: float = 0.12
     shadow_probability: float = 0.7
     textures: bool = True
@@ -196,7 +204,8 @@ def _set_textures(world: World, config: Randomization, rng: np.random.Generator)
     for name, size in _ROOM.items():
         patterns = config.table_patterns if name == "table" else PATTERNS
         pattern = patterns[rng.integers(len(patterns))]
-        colours = _two_colours(rng, contrast=0.5 if name == "table" else 0.35)
+        wooden = rng.uniform() < (0.7 if pattern == "wood" else 0.15)
+        colours = _two_colours(rng, 0.5 if name == "table" else 0.35, wooden)
         changed.append(set_texture(world, name, procedural_texture(rng, size, pattern, colours)))
         repeat = rng.uniform(*config.texture_repeat) if name == "table" else 2.0
         model.mat_texrepeat[world.materials[name]] = repeat
@@ -219,15 +228,13 @@ def _shape_materials(world: World) -> list[int]:
     return [world.materials[f"shape{i}"] for i in range(len(world.shape_geoms))]
 
 
-def _two_colours(rng: np.random.Generator, contrast: float) -> np.ndarray:
-    """Two related colours as rooms have them: seldom saturated, (2, 3) in [0, 1]."""
-    hue, saturation = rng.uniform(), rng.beta(1.1, 6.0)
-    value = rng.uniform(0.3, 0.97)
-    other = np.clip(value + rng.choice((-1.0, 1.0)) * rng.uniform(0.05, contrast), 0.08, 1.0)
-    turned = (hue + rng.normal(0.0, 0.04)) % 1.0
+def _two_colours(rng: np.random.Generator, contrast: float, wooden: bool) -> np.ndarray:
+    """Two related colours as rooms have them: wood, grey, seldom saturated; (2, 3) in [0, 1]."""
+    hue = rng.uniform(0.05, 0.11) if wooden else rng.uniform()
+    saturation = rng.uniform(0.25, 0.65) if wooden else rng.beta(0.8, 6.0)
+    value = rng.uniform(0.25, 0.88)
+    other = np.clip(value + rng.choice((-1.0, 1.0)) * rng.uniform(0.05, contrast), 0.08, 0.92)
+    turned = (hue + rng.normal(0.0, 0.03)) % 1.0
     return np.array(
-        [
-            colorsys.hsv_to_rgb(hue, saturation, value),
-            colorsys.hsv_to_rgb(turned, saturation, other),
-        ]
+        [colorsys.hsv_to_rgb(hue, saturation, value), colorsys.hsv_to_rgb(turned, saturation, other)]
     )

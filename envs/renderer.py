@@ -58,9 +58,12 @@ class Graphics:
 
     Args:
         scene: what is drawn.
+        samples: of multisampling; none is several times faster.
+        shadow_map: side of the shadow map in pixels.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, samples: int = 0, shadow_map: int = SHADOW_MAP_SIZE) -> None:
+        self._quality = (samples, shadow_map)
         self._world = scene.world
         self._data = scene.data
         self._versions = scene.texture_versions
@@ -186,7 +189,7 @@ class Graphics:
             self._gl.make_current()
             quality = model.vis.quality
             default = quality.offsamples, quality.shadowsize
-            quality.offsamples, quality.shadowsize = 0, SHADOW_MAP_SIZE
+            quality.offsamples, quality.shadowsize = self._quality
             try:
                 self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
             finally:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+import trimesh
 
 from ..assets.object_model import ObjectModel
 
@@ -172,7 +173,12 @@ def _add_object(spec: mujoco.MjSpec, name: str, model: ObjectModel) -> None:
     material = _add_material(spec, key, key)
     material.specular, material.shininess = model.specular, model.shininess
     faces, vertex, normals = corner_shading(model.vertices, model.faces)
-    mesh = spec.add_mesh(name=key, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
+    # A closed mesh knows its centre of mass; an open one borrows that of its hull.
+    closed = trimesh.Trimesh(model.vertices, model.faces).is_volume
+    inertia = mujoco.mjtMeshInertia
+    mesh = spec.add_mesh(
+        name=key, inertia=inertia.mjMESH_INERTIA_EXACT if closed else inertia.mjMESH_INERTIA_CONVEX
+    )
     mesh.uservert = model.vertices[vertex].ravel().tolist()
     mesh.userface = faces.ravel().tolist()
     mesh.usernormal = normals.ravel().tolist()
