@@ -50,7 +50,9 @@ class PoseNetworks(nn.Module):
         self.detector = Detector(len(objects), config.detector)
         self.features = KeypointNet(len(objects), config.features)
         self.volume = VolumeNet(config.features.volume_channels, PRESETS[config.preset])
-        self.to(memory_format=torch.channels_last)
+        self.detector.to(memory_format=torch.channels_last)
+        self.features.to(memory_format=torch.channels_last)
+        self.volume.to(memory_format=torch.channels_last_3d)
 
 
 def has_fast_bfloat16() -> bool:
