@@ -11,6 +11,7 @@ import re
 import zlib
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import fast_simplification
 import numpy as np
@@ -21,6 +22,9 @@ from ..pose_estimator.geometry import check_rigid
 from . import surface, texture
 from .object_model import ObjectModel
 from .surface_colours import NORMAL_WEIGHT, sample_colours
+
+if TYPE_CHECKING:
+    from ..pose_estimator.bop import BopModelInfo
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 """What `import_mesh` reads."""
@@ -94,7 +98,7 @@ def _import(
         return colours[nearest]
 
     vertices, faces, uv = texture.unwrap(mesh, TEXTURE_SIZE)
-    picture = texture.bake(vertices, faces, uv, colour_at, TEXTURE_SIZE)
+    picture = texture.bake(vertices, faces, uv, colour_at, TEXTURE_SIZE, supersampling=1)
     transforms = np.eye(4)[None]
     if symmetries is not None:
         transforms = np.frombuffer(symmetries).reshape(-1, 4, 4).copy()
@@ -191,7 +195,7 @@ def _lighten(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return light
 
 
-def _bop_info(path: Path):
+def _bop_info(path: Path) -> BopModelInfo | None:
     """What a BOP ``models_info.json`` beside the file says of it, or None."""
     if not re.fullmatch(r"obj_\d+", path.stem) or not (path.parent / "models_info.json").is_file():
         return None

@@ -49,6 +49,11 @@ def keypoints(
     count = KEYPOINT_COUNT - 1
     if symmetries is None or len(symmetries) == 1 or count % len(symmetries):
         return np.concatenate([vertices[farthest_points(vertices, count, start)], centre[None]])
+    images = vertices @ symmetries[1:, :3, :3].transpose(0, 2, 1) + symmetries[1:, None, :3, 3]
+    travel = np.linalg.norm(images - vertices, axis=2).min(axis=0)
+    # A vertex on the axis is its own image, and would become the same keypoint twice.
+    vertices = vertices[travel > 0.1 * np.linalg.norm(np.ptp(vertices, axis=0))]
+    start = int(np.sum((vertices - centre) ** 2, axis=1).argmax())
     chosen: list[np.ndarray] = []
     nearest = np.full(len(vertices), np.inf)
     index = start

@@ -21,7 +21,6 @@ ColourFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 PADDING = 6
 """Texels between charts, so that two levels of mip-maps do not mix neighbouring charts."""
 
-_SUPERSAMPLING = 2
 _UV_STEPS = 1 << 16  # exact in float32, and so is 1 - uv: files keep every bit
 
 
@@ -65,6 +64,7 @@ def bake(
     colour_at: ColourFunction,
     size: int = 256,
     normals: np.ndarray | None = None,
+    supersampling: int = 2,
 ) -> np.ndarray:
     """Samples a colour function over the atlas of a surface.
 
@@ -75,6 +75,8 @@ def bake(
         colour_at: called once with the surface points and normals under the covered texels.
         size: side of the texture in texels.
         normals: (V, 3) normals for ``colour_at``; each face's own normal by default.
+        supersampling: how many samples along each side of a texel are averaged; 1 does for colours
+            without sharp borders.
 
     Returns:
         (size, size, 3) uint8 RGB, row 0 at v = 1. Texels that no chart covers carry the colour of
@@ -83,7 +85,7 @@ def bake(
     Raises:
         ValueError: if no texel is covered, or ``colour_at`` returns a wrong shape.
     """
-    fine = size * _SUPERSAMPLING
+    fine = size * supersampling
     rows, columns, face, weights = rasterise(uv[faces].astype(np.float64), fine)
     if not len(rows):
         raise ValueError(f"uv covers no texel of a {size} x {size} texture")
@@ -105,7 +107,7 @@ def bake(
     covered[rows, columns] = True
     nearest = ndimage.distance_transform_edt(~covered, return_distances=False, return_indices=True)
     picture = picture[nearest[0], nearest[1]]
-    blocks = picture.reshape(size, _SUPERSAMPLING, size, _SUPERSAMPLING, 3)
+    blocks = picture.reshape(size, supersampling, size, supersampling, 3)
     return np.round(blocks.mean(axis=(1, 3)) * 255.0).astype(np.uint8)
 
 

@@ -1,0 +1,75 @@
+"""Objects to files and back, and the build that makes them."""
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import KDTree
+
+from two_view_pose import assets
+from two_view_pose.assets.build import BuildCommand
+from two_view_pose.assets.storage import read_object, save_object
+
+
+def test_round_trip_keeps_every_bit(tmp_path: Path) -> None:
+    model = assets.load_object("cat")
+    save_object(model, tmp_path / "cat")
+    again = read_object(tmp_path / "cat")
+    for entry in fields(model):
+        before, after = getattr(model, entry.name), getattr(again, entry.name)
+        if isinstance(before, np.ndarray):
+            assert before.dtype == after.dtype
+        np.testing.assert_array_equal(before, after)
+    assert {path.name for path in (tmp_path / "cat").iterdir()} == {"model.glb", "object.json"}
+
+
+def test_any_viewer_reads_the_mesh(tmp_path: Path) -> None:
+    model = assets.load_object("phone")
+    save_object(model, tmp_path)
+    mesh = trimesh.load_mesh(tmp_path / "model.glb")
+    np.testing.assert_allclose(mesh.extents, model.extents, rtol=1e-6)
+    assert mesh.visual.kind == "texture"
+    assert mesh.visual.material.baseColorTexture.size == model.texture.shape[1::-1]
+
+
+def test_damaged_folders_are_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"model\.glb is missing"):
+        read_object(tmp_path)
+    save_object(assets.load_object("ape"), tmp_path)
+    numbers = tmp_path / "object.json"
+    whole = numbers.read_text()
+    numbers.write_text(whole[: len(whole) // 2])
+    with pytest.raises(ValueError, match="cannot be read"):
+        read_object(tmp_path)
+    numbers.write_text(whole.replace('"format": 1', '"format": 99'))
+    with pytest.raises(ValueError, match="format is 99"):
+        read_object(tmp_path)
+    numbers.write_text(whole)
+    mesh = tmp_path / "model.glb"
+    mesh.write_bytes(mesh.read_bytes()[:1000])
+    with pytest.raises(ValueError, match="cannot be read"):
+        read_object(tmp_path)
+
+
+def test_build_is_reproducible_and_is_what_ships(tmp_path: Path) -> None:
+    for run in ("first", "second"):
+        BuildCommand(out=tmp_path / run, only=["glue"]).run()
+    files = sorted(p.relative_to(tmp_path / "first") for p in (tmp_path / "first").rglob("*.*"))
+    assert [str(file) for file in files] == [
+        "contact_sheet.png",
+        "glue/model.glb",
+        "glue/object.json",
+    ]
+    for file in files:
+        assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes()
+    built, shipped = assets.load_object(tmp_path / "first" / "glue"), assets.load_object("glue")
+    for a, b in ((built, shipped), (shipped, built)):
+        assert KDTree(a.points).query(b.points)[0].max() < 0.01
+    np.testing.assert_allclose(built.extents, shipped.extents, rtol=1e-4)
+
+
+def test_build_refuses_unknown_names(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"teapot.*ape"):
+        BuildCommand(out=tmp_path, only=["teapot"]).run()
