@@ -51,7 +51,7 @@ VERBS = {
     ),
     "evaluate": Verb(
         "pose_estimator.evaluate:EvaluateConfig",
-        "pose_estimator.evaluate:evaluate",
+        "envs.evaluate:evaluate",
         "ADD(-S) of an estimator on our scenes or on a BOP data set",
     ),
     "estimate": Verb(

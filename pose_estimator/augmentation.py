@@ -1,4 +1,4 @@
-"""Changes to training crops that a test will bring by itself: other light, other sensors, hidden parts."""
+"""Changes to training crops that a test will bring by itself: light, sensors, hidden parts."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ class AugmentationConfig:
     erase: float = 0.1
 
 
-def jitter_affine(side: int, zoom: float, config: AugmentationConfig, rng: np.random.Generator) -> np.ndarray:
+def jitter_affine(
+    side: int, zoom: float, config: AugmentationConfig, rng: np.random.Generator
+) -> np.ndarray:
     """The map from a stored crop to a jittered training crop.
 
     Args:

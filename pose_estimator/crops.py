@@ -1,8 +1,8 @@
 """Packs a BOP dataset for training: every target's crop and every small frame, in two files.
 
-Decoding full frames and masks again in each epoch would cost more than the network. A pack holds, for
-each target (one object in one picture), a JPEG crop somewhat wider than its region of interest and a
-PNG of its visible mask, and for each picture a JPEG at the detector's size.
+Decoding full frames and masks again in each epoch would cost more than the network. A pack holds,
+for each target (one object in one picture), a JPEG crop somewhat wider than its region of interest
+and a PNG of its visible mask, and for each picture a JPEG at the detector's size.
 """
 
 from __future__ import annotations

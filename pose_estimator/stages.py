@@ -60,9 +60,7 @@ class DetectorStage(_StageBase):
 
     def batches(self, start: int) -> Iterator[list[_Frame]]:
         config = self.networks.detector.config
-        return batches(
-            lambda rng: self.train.draw_frame(rng, config), self.batch, self.seed, start
-        )
+        return batches(lambda rng: self.train.draw_frame(rng, config), self.batch, self.seed, start)
 
     def loss(self, batch: list[_Frame]) -> tuple[Tensor, dict[str, float]]:
         self.module.train()
@@ -128,7 +126,7 @@ class FeatureStage(_StageBase):
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
-        """Distance of voted keypoints from the truth in crop pixels; symmetric ones by their best."""
+        """Distance of voted keypoints from the (nearest equivalent) truth in crop pixels."""
         self.module.eval()
         rng = np.random.default_rng(1)
         stride = self.networks.features.config.stride
@@ -146,9 +144,7 @@ class FeatureStage(_StageBase):
                     T = sample.T_cam_obj @ S
                     uvw = (model.keypoints @ T[:3, :3].T + T[:3, 3]) @ sample.K.T
                     pixels = voted * stride + (stride - 1) / 2
-                    distances.append(
-                        np.linalg.norm(pixels - uvw[:, :2] / uvw[:, 2:], axis=1)
-                    )
+                    distances.append(np.linalg.norm(pixels - uvw[:, :2] / uvw[:, 2:], axis=1))
                 errors.append(min(distances, key=np.mean))
         flat = np.concatenate(errors)
         return {
@@ -220,7 +216,7 @@ class VolumeStage(_StageBase):
     def _agree(
         self, mean: Tensor, covariance: Tensor, projection: Tensor, truth: Tensor, index: Tensor
     ) -> None:
-        """Renumbers each view's votes on symmetric objects to the pose that is trained, in place."""
+        """Renumbers votes on symmetric objects to the pose that is trained, in place."""
         for sample, number in enumerate(index.tolist()):
             permutations = self.permutations[number]
             if len(permutations) == 1:
@@ -239,7 +235,9 @@ class VolumeStage(_StageBase):
 
     def loss(self, batch: list[_Pair]) -> tuple[Tensor, dict[str, float]]:
         self.networks.volume.train()
-        rng = np.random.default_rng([self.seed, *np.round(batch[0][2][:3, 3] * 1e6).astype(int) % 2**31])
+        rng = np.random.default_rng(
+            [self.seed, *np.round(batch[0][2][:3, 3] * 1e6).astype(int) % 2**31]
+        )
         out = self.forward(batch, rng)
         total = torch.zeros(())
         numbers: dict[str, float] = {}

@@ -98,7 +98,10 @@ def run_stage(stage: Stage, config: LoopConfig, log: Callable[[str, int, dict], 
         while step < stage.steps:
             for group in optimizer.param_groups:
                 group["lr"] = learning_rate(
-                    step, stage.steps, stage.learning_rate, min(config.warm_up, stage.steps // 5 + 1)
+                    step,
+                    stage.steps,
+                    stage.learning_rate,
+                    min(config.warm_up, stage.steps // 5 + 1),
                 )
             loss, numbers = stage.loss(next(source))
             optimizer.zero_grad(set_to_none=True)

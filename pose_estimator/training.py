@@ -118,7 +118,11 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
         with open(log_path, "a") as file:
             file.write(json.dumps(entry) + "\n")
         figures.update(
-            {f"{stage}/{n.split('/')[1]}": v for n, v in numbers.items() if n.startswith("held_out")}
+            {
+                f"{stage}/{n.split('/')[1]}": v
+                for n, v in numbers.items()
+                if n.startswith("held_out")
+            }
         )
 
     loop = LoopConfig(

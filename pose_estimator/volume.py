@@ -1,13 +1,13 @@
 """The voxel volume of Mid-Fusion: features of all views, lifted to where they meet in space.
 
-The volume's axes are parallel to the reference camera's and it is centred on a guess of the object's
-centre. Each voxel takes the features that its projections find in the views (outside a picture: a
-learned initial value); a 3D CNN turns them into one distribution over the voxels for each keypoint,
-and a keypoint is the distribution's expectation. A coarse volume finds the object, a fine one inside
-it finds the keypoints.
+The volume's axes are parallel to the reference camera's and it is centred on a guess of the
+object's centre. Each voxel takes the features that its projections find in the views (outside a
+picture: a learned initial value); a 3D CNN turns them into one distribution over the voxels for each
+keypoint, and a keypoint is the distribution's expectation. A coarse volume finds the object, a fine
+one inside it finds the keypoints.
 
-Beside the features a volume may lift each view's 2D evidence: how likely its votes make each voxel to
-be the keypoint. The 3D CNN then starts from probabilistic triangulation and learns to correct it.
+Beside the features a volume may lift each view's 2D evidence: how likely its votes make each voxel
+to be the keypoint. The 3D CNN then starts from probabilistic triangulation and learns to correct it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ class LevelConfig:
 
     def shape(self, diameter: Tensor) -> tuple[int, Tensor]:
         """Voxels along a side, and half the side in metres (B,), for objects of a diameter (B,)."""
-        half = torch.full_like(diameter, self.half_size) if self.metric else diameter * self.half_size
+        half = (
+            torch.full_like(diameter, self.half_size) if self.metric else diameter * self.half_size
+        )
         if self.cells is not None:
             return self.cells, half
         assert self.cell_size is not None
@@ -139,7 +141,9 @@ class Volume(nn.Module):
             nn.init.normal_(self.output.weight, std=0.01)
             nn.init.zeros_(self.output.bias)
 
-    def forward(self, views: ViewMaps, centre: Tensor, level: LevelConfig, diameter: Tensor) -> LevelOutput:
+    def forward(
+        self, views: ViewMaps, centre: Tensor, level: LevelConfig, diameter: Tensor
+    ) -> LevelOutput:
         """Finds the keypoints in a volume around ``centre`` (B, 3), objects of ``diameter`` (B,)."""
         count, half = level.shape(diameter)
         cells = voxel_centres(centre, half, count)
@@ -228,7 +232,9 @@ def lift(
         align_corners=True,
     ).reshape(batch, count, channels, -1)
     inside = (grid.abs().amax(-1) <= 1.0) & (uvw[..., 2] > 0.05)
-    sampled = torch.where(inside.unsqueeze(2), sampled, outside.to(sampled.dtype)[None, None, :, None])
+    sampled = torch.where(
+        inside.unsqueeze(2), sampled, outside.to(sampled.dtype)[None, None, :, None]
+    )
     if not with_evidence:
         return sampled, None
     precision = torch.linalg.inv(views.vote_covariance)

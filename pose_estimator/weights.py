@@ -29,8 +29,8 @@ def save_weights(networks: PoseNetworks, path: str | Path, header: dict[str, Any
     Args:
         networks: what to save.
         path: the ``.safetensors`` file; the header goes to ``.json`` beside it.
-        header: what the weights are: training data, measured accuracy. The objects, shapes, versions
-            and the commit are added.
+        header: what the weights are: training data, measured accuracy. The objects, shapes,
+            versions and the commit are added.
     """
     path = Path(path)
     tensors = {
@@ -90,8 +90,9 @@ def find_weights(weights: str | Path) -> Path:
         return shipped
     names = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.safetensors"))) or "none"
     raise FileNotFoundError(
-        f"there are no weights named {str(weights)!r}; shipped weights: {names}. Give one of these, "
-        "a path to a .safetensors file, or train some: python -m two_view_pose train-estimator --help"
+        f"there are no weights named {str(weights)!r}; shipped weights: {names}. Give one of "
+        "these, a path to a .safetensors file, or train some: "
+        "python -m two_view_pose train-estimator --help"
     )
 
 

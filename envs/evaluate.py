@@ -1,0 +1,37 @@
+"""The verb ``evaluate``: renders held-out scenes where none are given, then measures on them."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from ..pose_estimator.evaluate import EvaluateConfig, evaluate_dataset
+from .generate import GenerateConfig, generate
+
+
+def evaluate(config: EvaluateConfig) -> None:
+    """Measures an estimator on our scenes or on a BOP dataset.
+
+    Raises:
+        ValueError: if the data or the weights are not usable.
+        FileNotFoundError: if the weights or the dataset are missing.
+    """
+    if config.data is not None:
+        evaluate_dataset(config, config.data, {"dataset": config.data.name})
+        return
+    with tempfile.TemporaryDirectory() as scratch:
+        root = config.keep or Path(scratch) / "scenes"
+        generate(
+            GenerateConfig(
+                out=root,
+                scenes=config.scenes,
+                views=2,
+                scene=config.scene,
+                split=config.split,
+                seed=config.seed,
+                view_angles=(10.0, 60.0),
+                jpeg_quality=0,
+                masks=False,
+            )
+        )
+        evaluate_dataset(config, root, {"scene": config.scene})
