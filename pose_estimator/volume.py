@@ -2,12 +2,12 @@
 
 The volume's axes are parallel to the reference camera's and it is centred on a guess of the
 object's centre. Each voxel takes the features that its projections find in the views (outside a
-picture: a learned initial value); a 3D CNN turns them into one distribution over the voxels for each
-keypoint, and a keypoint is the distribution's expectation. A coarse volume finds the object, a fine
-one inside it finds the keypoints.
+picture: a learned initial value); a 3D CNN turns them into one distribution over the voxels for
+each keypoint, and a keypoint is the distribution's expectation. A coarse volume finds the object,
+a fine one inside it finds the keypoints.
 
 Beside the features a volume may lift each view's 2D evidence: how likely its votes make each voxel
-to be the keypoint. The 3D CNN then starts from probabilistic triangulation and learns to correct it.
+to be the keypoint. The 3D CNN then starts from probabilistic triangulation and corrects it.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class Volume(nn.Module):
     def forward(
         self, views: ViewMaps, centre: Tensor, level: LevelConfig, diameter: Tensor
     ) -> LevelOutput:
-        """Finds the keypoints in a volume around ``centre`` (B, 3), objects of ``diameter`` (B,)."""
+        """Finds the keypoints in a volume around ``centre`` (B, 3); ``diameter`` is (B,)."""
         count, half = level.shape(diameter)
         cells = voxel_centres(centre, half, count)
         lifted, evidence = lift(views, cells, self.outside, self.evidence)
