@@ -115,13 +115,14 @@ def apply_randomization(world: World, config: Randomization, rng: np.random.Gene
 
 
 def neutral_look(world: World) -> list[int]:
-    """Plain colours for the room and the shapes, the look of :meth:`Randomization.none`.
+    """Lamps and plain colours for room and shapes: the look of :meth:`Randomization.none`.
 
     Returns:
         Ids of the textures that changed.
     """
-    colours = {"table": (0.72, 0.70, 0.66), "wall": (0.80, 0.81, 0.80), "floor": (0.45, 0.42, 0.40)}
     rng = np.random.default_rng(0)
+    apply_randomization(world, Randomization.none(), rng)
+    colours = {"table": (0.72, 0.70, 0.66), "wall": (0.80, 0.81, 0.80), "floor": (0.45, 0.42, 0.40)}
     changed = []
     for name, size in _ROOM.items():
         pair = np.array([colours[name], colours[name]]) * ((1.0,), (0.8,))

@@ -16,7 +16,14 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from ..pose_estimator.geometry import LINEMOD_K, check_intrinsics, check_rigid, invert
+from ..pose_estimator.geometry import (
+    LINEMOD_K,
+    check_intrinsics,
+    check_rigid,
+    invert,
+    project,
+    transform,
+)
 from .camera import frustum, opencv_to_opengl
 from .gl import open_context
 from .world import FAR, MOVABLE, NEAR, PROBED, ROOM
@@ -220,6 +227,27 @@ class Graphics:
         return self._context
 
 
+def bounding_box(
+    points: np.ndarray, K: np.ndarray, height: int, width: int
+) -> tuple[int, int, int, int]:
+    """The part of a picture that a thing may cover: left, top and, exclusive, right, bottom.
+
+    Args:
+        points: its vertices in the camera frame, (N, 3) metres.
+        K: camera matrix, (3, 3).
+        height: of the picture, pixels.
+        width: of the picture, pixels.
+    """
+    if points[:, 2].max() <= NEAR:
+        return 0, 0, 0, 0
+    if points[:, 2].min() <= NEAR:  # it reaches behind the camera
+        return 0, 0, width, height
+    uv = project(points, K)
+    left, top = np.clip(np.floor(uv.min(axis=0)) - 1, 0, (width, height)).astype(int).tolist()
+    right, bottom = np.clip(np.ceil(uv.max(axis=0)) + 2, 0, (width, height)).astype(int).tolist()
+    return left, top, right, bottom
+
+
 _open_graphics: weakref.WeakSet[Graphics] = weakref.WeakSet()
 
 
@@ -298,15 +326,22 @@ class SceneRenderer:
         geoms: np.ndarray,
         instances: np.ndarray,
     ) -> dict[str, float]:
-        """Silhouettes alone are drawn at half size: a quarter of the pixels, and they only count."""
-        height, width = (self.height + 1) // 2, (self.width + 1) // 2
-        half = np.array([[0.5, 0.0, -0.25], [0.0, 0.5, -0.25], [0.0, 0.0, 1.0]]) @ K
+        """Each silhouette is drawn alone, on the same pixels, but only where it can be."""
+        assert self._scene.state is not None
         seen = np.bincount(instances.ravel() + 1, minlength=len(geoms) + 1)[1:]
         fractions = {}
-        for name, geom, pixels in zip(names, geoms, seen, strict=True):
-            alone = self._scene.graphics.silhouette(geom, T_cam_world, half, height, width)
-            whole = 4 * np.count_nonzero(alone)
-            fractions[name] = min(1.0, float(pixels) / whole) if whole else float(pixels > 0)
+        for name, geom, pixels in zip(names, geoms, seen.tolist(), strict=True):
+            T_cam_obj = T_cam_world @ self._scene.state.T_world_obj[name]
+            points = transform(T_cam_obj, self._scene.objects[name].vertices)
+            left, top, right, bottom = bounding_box(points, K, self.height, self.width)
+            if right <= left or bottom <= top:
+                fractions[name] = 0.0
+                continue
+            corner = np.array([[1.0, 0.0, -left], [0.0, 1.0, -top], [0.0, 0.0, 1.0]])
+            alone = self._scene.graphics.silhouette(
+                geom, T_cam_world, corner @ K, bottom - top, right - left
+            )
+            fractions[name] = min(1.0, pixels / max(1, np.count_nonzero(alone)))
         return fractions
 
     def close(self) -> None:
