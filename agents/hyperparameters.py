@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -123,7 +123,7 @@ def policy_kwargs(entry: Mapping[str, Any]) -> dict[str, Any]:
     return kwargs
 
 
-def _schedule(value: Any) -> Any | Callable[[float], float]:
+def _schedule(value: Any) -> Any:
     """rl-zoo3's ``lin_x``: from x at the start of training to 0 at its end."""
     if isinstance(value, str) and value.startswith("lin_"):
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import shlex
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from ..pose_estimator.results import write_results
 from .checkpoint import AgentHeader, describe_space, read_agent, write_agent
-from .config import TrainAgentConfig
+from .config import BOX_ENV, DISCRETE_ENV, TrainAgentConfig
 from .hyperparameters import ALGORITHMS, algorithm_kwargs, load_hyperparameters
 from .training_state import counters, restart, restore_state, state_tensors
 
@@ -171,10 +172,7 @@ def _report(model: BaseAlgorithm, config: TrainAgentConfig, steps: int, seconds:
     if rewards:
         print(f"Mean reward of the last {len(rewards)} episodes: {sum(rewards) / len(rewards):.3f}")
     print(f"Learning curves: tensorboard --logdir {config.out / LOGS}")
-    print(
-        "Compare it with the baselines: python -m two_view_pose evaluate-agent --policy "
-        f"random fixed max-baseline {policy} --scene {config.scene}"
-    )
+    print(f"Compare it with the baselines: {_evaluation(config, policy)}")
     if config.json is None:
         return
     tags = {"policy": os.fspath(policy), "algo": config.algo, "scene": config.scene}
@@ -189,3 +187,14 @@ def _report(model: BaseAlgorithm, config: TrainAgentConfig, steps: int, seconds:
         records.append({"metric": "steps_per_second", "value": rate, "unit": "1/s", **tags})
     command = f"train-agent --algo {config.algo} --steps {model.num_timesteps} --out {config.out}"
     write_results(config.json, records, command=command, seed=config.seed)
+
+
+def _evaluation(config: TrainAgentConfig, policy: Path) -> str:
+    """The command that evaluates the policy as it was trained."""
+    command = "python -m two_view_pose evaluate-agent --policy random fixed max-baseline"
+    command += f" {shlex.quote(os.fspath(policy))} --scene {config.scene}"
+    if config.objects:
+        command += f" --objects {shlex.join(config.objects)}"
+    if config.env_id not in (BOX_ENV, DISCRETE_ENV):
+        command += f" --env {config.env_id}"
+    return command

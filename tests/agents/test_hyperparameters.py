@@ -1,0 +1,61 @@
+"""The hyper-parameter file is read, checked and never executed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+import yaml
+from two_view_pose.agents.hyperparameters import (
+    ALGORITHMS,
+    SHIPPED,
+    algorithm_kwargs,
+    load_hyperparameters,
+)
+
+ENTRIES = [
+    (algo, env_id)
+    for algo, table in yaml.safe_load(SHIPPED.read_text()).items()
+    for env_id in table
+]
+
+
+def test_every_algorithm_ships() -> None:
+    assert {algo for algo, _ in ENTRIES} == set(ALGORITHMS)
+    assert ("ppo", "TwoViewPoseDiscrete-v0") in ENTRIES
+
+
+@pytest.mark.parametrize(("algo", "env_id"), ENTRIES)
+def test_shipped_entries_make_a_model(algo: str, env_id: str) -> None:
+    entry = load_hyperparameters(algo, env_id)
+    toy = "toy_env:ToyViewDiscrete-v0" if "Discrete" in env_id else "toy_env:ToyView-v0"
+    kwargs = algorithm_kwargs(entry)
+    model = ALGORITHMS[algo]("MultiInputPolicy", gym.make(toy), device="cpu", **kwargs)
+    assert model.lr_schedule(1.0) == pytest.approx(3e-4)
+    assert model.lr_schedule(0.0) == pytest.approx(0.0 if algo == "ppo" else 3e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("ppo: [", "cannot be read"),
+        ("ppo: !!python/object/apply:os.system ['touch crater']", "cannot be read"),
+        ("[]", "no entry ppo: ToyView-v0"),
+        ("sac: {ToyView-v0: {}}", "no entry ppo: ToyView-v0"),
+        ("ppo: {ToyView-v0: {colour: red}}", "unknown hyper-parameters of ppo: colour"),
+        ("ppo: {ToyView-v0: {policy: MlpPolicy}}", "policy must be MultiInputPolicy"),
+        ("ppo: {ToyView-v0: {learning_rate: lin_fast}}", "written lin_<number>, got 'lin_fast'"),
+        ("ppo: {ToyView-v0: {policy_kwargs: 'dict(net_arch=[])'}}", "must be a mapping"),
+        ("ppo: {ToyView-v0: {policy_kwargs: {optimizer_class: x}}}", "unknown policy_kwargs"),
+    ],
+)
+def test_a_wrong_file_is_refused(
+    text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "mine.yml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        algorithm_kwargs(load_hyperparameters("ppo", "ToyView-v0", path))
+    assert not (tmp_path / "crater").exists()
