@@ -69,6 +69,11 @@ VERBS = {
         "agents.evaluate:evaluate_agents",
         "compares policies on the same scenes",
     ),
+    "bench": Verb(
+        "envs.bench:BenchConfig",
+        "envs.bench:bench",
+        "how quick rendering and steps are, as ratios in one run",
+    ),
     "doctor": Verb(
         "envs.doctor:DoctorConfig",
         "envs.doctor:doctor",

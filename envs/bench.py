@@ -1,0 +1,198 @@
+"""The verb ``bench``: how quick things are, as ratios to what people would use instead.
+
+Machines differ and drift, so both sides of a ratio run in turn in one process, and medians count.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+
+@dataclass(frozen=True)
+class BenchConfig:
+    """Times our work against what people would use instead, in one run."""
+
+    repeats: int = 15
+    """Timed repeats of each side; the median counts."""
+    weights: str | None = "linemod"
+    """Weights for the environment's step; None leaves that line out."""
+    seed: int = 0
+    """Of the scene."""
+    json: Path | None = None
+    """Write the ratios as a results file."""
+    pictures: Path | None = None
+    """Also write both renderers' pictures, side by side, to this PNG."""
+
+
+def bench(config: BenchConfig) -> None:
+    """Runs all comparisons and prints them."""
+    # MuJoCo's own renderer decides on its back-end when it is imported, and prefers a window.
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..pose_estimator.results import write_results
+
+    records = [compare_renderers(config)]
+    if config.weights is not None:
+        records.append(compare_step(config))
+    table = Table(title="side by side in one run, medians")
+    for column in ("work", "against", "ours", "theirs", "ratio", "goal"):
+        table.add_column(column)
+    for record in records:
+        table.add_row(
+            record["work"],
+            record["against"],
+            f"{1000 * record['seconds']:.1f} ms",
+            f"{1000 * record['seconds_against']:.1f} ms",
+            f"{record['value']:.2f}x",
+            f">= {record['goal']:g}x",
+        )
+    Console().print(table)
+    if config.json is not None:
+        write_results(config.json, records, command="bench", seed=config.seed)
+
+
+def compare_renderers(config: BenchConfig) -> dict[str, Any]:
+    """An RGB frame of ours against a default ``mujoco.Renderer``'s: same scene, size and camera."""
+    from .. import assets
+    from .renderer import SceneRenderer
+    from .scene import Scene
+
+    scene = Scene(assets.load_objects(None))
+    state = scene.reset(np.random.default_rng(config.seed), scene.object_names[0])
+    ours = SceneRenderer(scene)
+    theirs = default_renderer(scene, state.T_cam_world)
+    pictures = ours.render(state.T_cam_world).rgb, theirs()
+    if config.pictures is not None:
+        from PIL import Image
+
+        Image.fromarray(np.hstack(pictures)).save(config.pictures)
+    difference = np.abs(pictures[0].astype(int) - pictures[1]).mean()
+    record = ratio(
+        "RGB frame, 640x480",
+        "mujoco.Renderer defaults",
+        lambda: ours.render(state.T_cam_world),
+        theirs,
+        config.repeats,
+        goal=3.0,
+    )
+    ours.close()
+    scene.close()
+    return {**record, "mean_difference_of_levels": float(difference)}
+
+
+def default_renderer(scene: Scene, T_cam_world: np.ndarray) -> Callable[[], np.ndarray]:
+    """A ``mujoco.Renderer`` of the scene as it is, with MuJoCo's default quality."""
+    import mujoco
+
+    from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K, invert
+    from .camera import frustum, opencv_to_opengl
+    from .renderer import FAR, NEAR
+
+    height, width = LINEMOD_IMAGE_SIZE
+    model = copy.copy(scene.world.model)
+    quality = mujoco.MjSpec().compile().vis.quality
+    model.vis.quality.offsamples = quality.offsamples
+    model.vis.quality.shadowsize = quality.shadowsize
+    model.vis.global_.offheight, model.vis.global_.offwidth = height, width
+    renderer = mujoco.Renderer(model, height, width)
+    T_world_camera = invert(opencv_to_opengl(T_cam_world))
+    left, right, bottom, top = frustum(LINEMOD_K, height, width, NEAR)
+
+    def draw() -> np.ndarray:
+        renderer.update_scene(scene.data)
+        for camera in renderer.scene.camera:
+            camera.pos = T_world_camera[:3, 3]
+            camera.forward = -T_world_camera[:3, 2]
+            camera.up = T_world_camera[:3, 1]
+            camera.frustum_center = (left + right) / 2
+            camera.frustum_width = (right - left) / 2
+            camera.frustum_bottom, camera.frustum_top = bottom, top
+            camera.frustum_near, camera.frustum_far = NEAR, FAR
+        return renderer.render()
+
+    return draw
+
+
+def compare_step(config: BenchConfig) -> dict[str, Any]:
+    """A whole ``env.step`` against one forward pass of a ResNet-18 on a 640x480 picture."""
+    import gymnasium as gym
+    import torch
+
+    from ..pose_estimator import load
+    from .reference_network import resnet18
+
+    estimator = load("mid", config.weights or "linemod")
+    env = gym.make("TwoViewPose-v0", estimator=estimator)
+    network = resnet18().eval()
+    picture = torch.zeros(1, 3, 480, 640)
+    rng = np.random.default_rng(config.seed)
+
+    def forward() -> None:
+        with torch.inference_mode():
+            network(picture)
+
+    ours, theirs = [], []
+    for repeat in range(config.repeats + 2):
+        env.reset(seed=config.seed + repeat)
+        action = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
+        ours.append(seconds(lambda action=action: env.step(action)))
+        theirs.append(seconds(forward))
+    env.close()
+    return make_record(
+        "env.step: render, detect, estimate, reward",
+        "ResNet-18 forward, 640x480",
+        ours[2:],
+        theirs[2:],
+        goal=1.0,
+    )
+
+
+def seconds(work: Callable[[], Any]) -> float:
+    """Wall time of one call."""
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def ratio(
+    work: str,
+    against: str,
+    ours: Callable[[], Any],
+    theirs: Callable[[], Any],
+    repeats: int,
+    goal: float,
+) -> dict[str, Any]:
+    """Times two calls in turn, after two of each that do not count."""
+    pairs = [(seconds(ours), seconds(theirs)) for _ in range(repeats + 2)][2:]
+    return make_record(work, against, [a for a, _ in pairs], [b for _, b in pairs], goal)
+
+
+def make_record(
+    work: str, against: str, ours: list[float], theirs: list[float], goal: float
+) -> dict[str, Any]:
+    """The record of a comparison: how many times as fast ours is."""
+    ours_median, theirs_median = float(np.median(ours)), float(np.median(theirs))
+    return {
+        "metric": "ratio",
+        "value": theirs_median / ours_median,
+        "unit": "",
+        "work": work,
+        "against": against,
+        "goal": goal,
+        "seconds": ours_median,
+        "seconds_against": theirs_median,
+        "n": len(ours),
+    }
