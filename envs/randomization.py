@@ -28,6 +28,7 @@ class Randomization:
 
     Attributes:
         lights: fewest and most lamps, 1 to 3.
+        lamps_move: whether lamps stand elsewhere in every episode.
         lamp_elevation: lowest and highest direction of a lamp seen from the table, radians.
         lamp_power: dimmest and brightest sum of all lamps, as a fraction of white paper's white.
         ambient: least and most light from everywhere, as the same fraction.
@@ -46,6 +47,7 @@ class Randomization:
     """
 
     lights: tuple[int, int] = (1, 3)
+    lamps_move: bool = True
     lamp_elevation: tuple[float, float] = (np.deg2rad(42.0), np.deg2rad(85.0))
     lamp_power: tuple[float, float] = (0.4, 0.75)
     ambient: tuple[float, float] = (0.28, 0.45)
@@ -81,6 +83,7 @@ class Randomization:
         """One neutral look: two lamps, shadows, a plain table, a level camera, a perfect sensor."""
         return cls(
             lights=(2, 2),
+            lamps_move=False,
             lamp_elevation=(np.deg2rad(60.0), np.deg2rad(60.0)),
             lamp_power=(0.6, 0.6),
             ambient=(0.35, 0.35),
@@ -154,10 +157,11 @@ def _set_lights(world: World, config: Randomization, rng: np.random.Generator) -
     count = int(rng.integers(config.lights[0], config.lights[1] + 1))
     ambient = rng.uniform(*config.ambient)
     power = rng.uniform(*config.lamp_power)
-    shares = rng.uniform(0.5, 1.0, LIGHTS) * (np.arange(LIGHTS) < count)
+    spread = float(config.lamps_move)
+    shares = (1.0 - 0.5 * spread * rng.uniform(0.0, 1.0, LIGHTS)) * (np.arange(LIGHTS) < count)
     shares *= power / shares.sum()
     # MuJoCo's shadow map speckles a table that it meets askew; cameras stand anywhere anyway.
-    azimuth = np.pi / 2 * rng.integers(4)
+    azimuth = np.pi / 2 * rng.integers(4) * spread
     shadows = rng.uniform() < config.shadow_probability
     head = model.vis.headlight
     head.active = 1
@@ -166,8 +170,8 @@ def _set_lights(world: World, config: Randomization, rng: np.random.Generator) -
     head.specular[:] = 0.05
     for i in range(LIGHTS):
         elevation = rng.uniform(*config.lamp_elevation)
-        angle = azimuth + (i > 0) * (i * 2.1 + rng.uniform(-0.6, 0.6))
-        distance = rng.uniform(1.4, 2.2)
+        angle = azimuth + (i > 0) * (i * 2.1 + spread * rng.uniform(-0.6, 0.6))
+        distance = 1.8 + spread * rng.uniform(-0.4, 0.4)
         direction = np.array(
             [
                 np.cos(elevation) * np.cos(angle),
@@ -237,5 +241,8 @@ def _two_colours(rng: np.random.Generator, contrast: float, wooden: bool) -> np.
     other = np.clip(value + rng.choice((-1.0, 1.0)) * rng.uniform(0.05, contrast), 0.08, 0.92)
     turned = (hue + rng.normal(0.0, 0.03)) % 1.0
     return np.array(
-        [colorsys.hsv_to_rgb(hue, saturation, value), colorsys.hsv_to_rgb(turned, saturation, other)]
+        [
+            colorsys.hsv_to_rgb(hue, saturation, value),
+            colorsys.hsv_to_rgb(turned, saturation, other),
+        ]
     )

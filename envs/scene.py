@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from ..assets.object_model import ObjectModel
-from ..pose_estimator.geometry import check_rigid, invert
+from ..pose_estimator.geometry import check_rigid
 from .arrangement import Arrangement, Thing, arrange
 from .camera import CameraRange
 from .placement import resting_poses
@@ -18,7 +18,6 @@ from .renderer import Graphics
 from .world import HIDDEN, MOVABLE, SHAPE_KINDS, World, compile_world
 
 KINDS = ("linemod", "occlusion")
-_PARKED = np.array([0.0, 0.0, -3.0])
 
 
 @dataclass(frozen=True)
@@ -197,7 +196,7 @@ class Scene:
             model.geom_group[geom] = HIDDEN if present is None else MOVABLE
             model.geom_contype[geom] = model.geom_conaffinity[geom] = present is not None
             if present is None:
-                data.qpos[address : address + 3] = _PARKED + (0.5 * k, 0.0, 0.0)
+                data.qpos[address : address + 3] = (0.5 * k, 0.0, -3.0)  # parked
                 data.qpos[address + 3 : address + 7] = (1.0, 0.0, 0.0, 0.0)
                 continue
             if present.size is not None:
@@ -223,8 +222,3 @@ def _resize(model: mujoco.MjModel, geom: int, size: np.ndarray) -> None:
         half = np.full(3, size[0])
     model.geom_aabb[geom, 3:] = half
     model.geom_rbound[geom] = np.linalg.norm(half)
-
-
-def camera_position(T_cam_world: np.ndarray) -> np.ndarray:
-    """Where a camera stands in the world, (3,)."""
-    return invert(T_cam_world)[:3, 3]

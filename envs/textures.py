@@ -54,14 +54,20 @@ def procedural_texture(
 
 
 def fractal_noise(rng: np.random.Generator, size: int, cells: int) -> np.ndarray:
-    """Smooth noise in [0, 1] of several octaves, the coarsest of ``cells`` bumps a side."""
-    total = np.zeros((size, size), dtype=np.float32)
-    weight, cells = 1.0, max(2, cells)
-    while cells < size and weight > 0.05:
-        total += weight * _periodic(rng.random((cells, cells), dtype=np.float32), size, size)
-        weight, cells = weight / 2, cells * 2
-    low, high = total.min(), total.max()
-    return (total - low) / max(float(high - low), 1e-6)
+    """Smooth noise in [0, 1] of several octaves, the coarsest of ``cells`` bumps a side.
+
+    Each octave is added at its own resolution and the sum enlarged, which costs little more than
+    the last enlargement.
+    """
+    total = rng.random((cells, cells), dtype=np.float32)
+    weight = 0.6
+    while 2 * total.shape[0] <= size // 2:
+        total = _periodic(total, 2 * total.shape[0], 2 * total.shape[0])
+        total += weight * rng.random(total.shape, dtype=np.float32)
+        weight *= 0.6
+    total = _periodic(total, size, size)
+    low, high = float(total.min()), float(total.max())
+    return (total - low) / max(high - low, 1e-6)
 
 
 def _periodic(grid: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -72,8 +78,7 @@ def _periodic(grid: np.ndarray, height: int, width: int) -> np.ndarray:
     affine = np.array(
         [[scale_x, 0, (0.5 - pad) * scale_x - 0.5], [0, scale_y, (0.5 - pad) * scale_y - 0.5]]
     )
-    smooth = cv2.INTER_CUBIC if min(grid.shape) < 32 else cv2.INTER_LINEAR
-    return cv2.warpAffine(wrapped, affine, (width, height), flags=smooth)
+    return cv2.warpAffine(wrapped, affine, (width, height), flags=cv2.INTER_CUBIC)
 
 
 def _wood(rng: np.random.Generator, size: int) -> np.ndarray:

@@ -120,13 +120,12 @@ def _add_room(spec: mujoco.MjSpec) -> None:
     ):
         _add_texture(spec, name, size)
         _add_material(spec, name, name)
-    half_x, half_y, half_z = TABLE_HALF
     wall_z = 1.6
     table = spec.worldbody.add_geom(
         name="table",
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=TABLE_HALF,
-        pos=(0.0, 0.0, -half_z),
+        pos=(0.0, 0.0, -TABLE_HALF[2]),
         material="table",
         group=ROOM,
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-
 from two_view_pose.assets.object_model import ObjectModel
 
 

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-
 from two_view_pose.envs.camera import (
     CameraRange,
     frustum,
@@ -77,7 +76,12 @@ def test_camera_range_is_kept_and_filled() -> None:
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("distance", (1.0, 0.5)), ("distance", (0.0, 1.0)), ("elevation", (7.0, 82.0)), ("roll", -1.0)],
+    [
+        ("distance", (1.0, 0.5)),
+        ("distance", (0.0, 1.0)),
+        ("elevation", (7.0, 82.0)),
+        ("roll", -1.0),
+    ],
 )
 def test_impossible_ranges_are_refused(field: str, value: object) -> None:
     with pytest.raises(ValueError, match=field):

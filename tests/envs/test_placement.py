@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-
 from two_view_pose.assets.object_model import ObjectModel
 from two_view_pose.envs.placement import (
     GAP,
@@ -67,8 +66,8 @@ def test_separated_agrees_with_the_area_of_intersection() -> None:
 
 
 def test_separated_measures_the_gap_between_parallel_sides() -> None:
-    assert separated(SQUARE, SQUARE + (0.104, 0.02), gap=0.003)
-    assert not separated(SQUARE, SQUARE + (0.102, 0.02), gap=0.003)
+    assert separated(SQUARE, SQUARE + np.array([0.104, 0.02]), gap=0.003)
+    assert not separated(SQUARE, SQUARE + np.array([0.102, 0.02]), gap=0.003)
 
 
 def test_packing_fills_the_table_without_a_touch() -> None:

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-
 from two_view_pose.assets.object_model import ObjectModel
 from two_view_pose.envs.randomization import Randomization, apply_randomization
 from two_view_pose.envs.scene import Scene
@@ -58,7 +57,7 @@ def test_looks_change_with_the_seed_alone(world: World) -> None:
     for seed in (1, 2, 1):
         apply_randomization(world, Randomization(), np.random.default_rng(seed))
         seen.append(looks(world))
-    for first, other, again in zip(*seen, strict=True):
+    for first, again in zip(seen[0], seen[2], strict=True):
         np.testing.assert_array_equal(first, again)
     assert sum(not np.array_equal(a, b) for a, b in zip(seen[0], seen[1], strict=True)) >= 9
 
@@ -106,14 +105,10 @@ def test_none_looks_the_same_for_every_seed(objects: dict[str, ObjectModel]) -> 
     assert config.sensor == SensorConfig.none()
     assert config.camera_roll == config.look_at_noise == 0
     scene = Scene(objects, randomization=config)
-    reference = None
-    for seed in (1, 2):
-        apply_randomization(scene.world, config, np.random.default_rng(seed))
-        colours = looks(scene.world)[5:]  # lamps stand elsewhere, nothing else changes
-        if reference is not None:
-            for a, b in zip(reference, colours, strict=True):
-                np.testing.assert_array_equal(a, b)
-        reference = colours
+    first = looks(scene.world)
+    apply_randomization(scene.world, config, np.random.default_rng(9))
+    for a, b in zip(first, looks(scene.world), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-
 from two_view_pose.assets.object_model import ObjectModel
 from two_view_pose.envs import gl
 from two_view_pose.envs.arrangement import Arrangement, Thing
@@ -67,7 +66,9 @@ def test_a_small_ball_is_drawn_where_opencv_projects_it(
     with SceneRenderer(scene, height, width) as renderer:
         for K in (off_centre, LINEMOD_K if height == 480 else off_centre):
             for _ in range(12):
-                T = view_sphere_pose(T_world_obj[:3, 3], 0.5, rng.uniform(-3, 3), rng.uniform(0.4, 1.2))
+                T = view_sphere_pose(
+                    T_world_obj[:3, 3], 0.5, rng.uniform(-3, 3), rng.uniform(0.4, 1.2)
+                )
                 T[:2, 3] += rng.uniform(-0.01, 0.01, 2)
                 seen = renderer.render(T, K, masks=True).instances == 0
                 assert seen.sum() > 200
@@ -132,7 +133,9 @@ def ray_cast(
             q = np.cross(s, e1)
             y = directions @ q.T / det
             t = np.einsum("fj,fj->f", e2, q)[None] / det
-        t = np.where((np.abs(det) > 1e-15) & (x >= 0) & (y >= 0) & (x + y <= 1) & (t > 0), t, np.inf)
+        t = np.where(
+            (np.abs(det) > 1e-15) & (x >= 0) & (y >= 0) & (x + y <= 1) & (t > 0), t, np.inf
+        )
         nearest = t.min(axis=1)
         which[nearest < best] = index
         best = np.minimum(best, nearest)

@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-
 from two_view_pose.assets.object_model import ObjectModel
 from two_view_pose.envs.camera import CameraRange, view_sphere_pose
 from two_view_pose.envs.randomization import Randomization

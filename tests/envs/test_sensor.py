@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from two_view_pose.envs.sensor import SensorConfig, apply_sensor
 
 GREY = np.full((120, 160, 3), 128, dtype=np.uint8)
