@@ -13,6 +13,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
 from .. import assets
+from ..assets.storage import read_object, save_object
 from .detector import DetectorConfig
 from .features import FeatureConfig
 from .networks import NetworkConfig, PoseNetworks
@@ -25,6 +26,8 @@ SHIPPED = Path(assets.__file__).parent / "weights"
 
 def save_weights(networks: PoseNetworks, path: str | Path, header: dict[str, Any]) -> None:
     """Writes weights in half precision, with their header beside them.
+
+    Objects that are not among our thirteen are stored too, in a folder beside the header.
 
     Args:
         networks: what to save.
@@ -40,12 +43,16 @@ def save_weights(networks: PoseNetworks, path: str | Path, header: dict[str, Any
         for name, value in networks.state_dict().items()
         if not name.endswith("num_batches_tracked")
     }
+    objects: dict[str, dict[str, Any]] = {}
+    for name, model in networks.objects.items():
+        objects[name] = {"obj_id": model.obj_id, "diameter": model.diameter}
+        if name not in assets.OBJECT_NAMES:
+            # Weights for a user's objects must not depend on where their meshes once lay.
+            objects[name]["folder"] = f"{path.stem}_objects/{name}"
+            save_object(model, path.parent / objects[name]["folder"])
     full = {
         "format": FORMAT,
-        "objects": {
-            name: {"obj_id": model.obj_id, "diameter": model.diameter}
-            for name, model in networks.objects.items()
-        },
+        "objects": objects,
         "networks": asdict(networks.config),
         "versions": versions(),
         "commit": commit(),
@@ -114,7 +121,7 @@ def load_networks(weights: str | Path = "linemod") -> PoseNetworks:
 def read_networks(path: str | Path) -> PoseNetworks:
     """Builds the networks that a weights file describes. Runs no code from the file.
 
-    Objects that the header gives a mesh for are read from it; others are the built ones.
+    Objects that were stored with the weights are read from there; others are our thirteen.
 
     Raises:
         ValueError: if the file is damaged, or does not fit its header.
@@ -129,7 +136,9 @@ def read_networks(path: str | Path) -> PoseNetworks:
             preset=shapes["preset"],
         )
         objects = {
-            name: assets.load_object(entry.get("mesh", name))
+            name: read_object(path.parent / entry["folder"])
+            if "folder" in entry
+            else assets.load_object(name)
             for name, entry in header["objects"].items()
         }
     except (KeyError, TypeError) as error:
