@@ -82,22 +82,30 @@ def _import(
     """Imports; ``modified`` and ``size`` only make a changed file another cache entry."""
     parts = _read_parts(path)
     info = _bop_info(path)
-    corners = np.concatenate([part.vertices for part in parts])
-    measured = surface.diameter(corners)
+    measured = surface.diameter(np.concatenate([part.triangles.reshape(-1, 3) for part in parts]))
     scale = UNITS["mm"] if unit == "auto" and info is not None else _scale(measured, unit, path)
+    if info is not None and not 0.9 < measured * scale / info.diameter < 1.1:
+        raise ValueError(
+            f"{path} has a diameter of {measured * scale:g} m, but models_info.json beside it says "
+            f"{info.diameter:g} m"
+        )
     for part in parts:
         part.apply_scale(scale)
 
-    mesh = _lighten(_weld(parts))
+    mesh = _weld(parts)
+    outward = mesh.is_winding_consistent and mesh.volume > 0
+    mesh.fix_normals()
+    mesh = _lighten(mesh)
     points, normals, colours = sample_colours(parts)
-    reach = NORMAL_WEIGHT * measured * scale  # tells the two sides of a thin wall apart
+    # Normals tell the two sides of a thin wall apart, where the file has them right.
+    reach = NORMAL_WEIGHT * measured * scale if outward else 0.0
     tree = KDTree(np.concatenate([points, reach * normals], axis=1))
 
     def colour_at(places: np.ndarray, directions: np.ndarray) -> np.ndarray:
         _, nearest = tree.query(np.concatenate([places, reach * directions], axis=1))
         return colours[nearest]
 
-    vertices, faces, uv = texture.unwrap(mesh, TEXTURE_SIZE)
+    vertices, faces, uv = texture.unwrap(mesh, TEXTURE_SIZE, tight=False)
     picture = texture.bake(vertices, faces, uv, colour_at, TEXTURE_SIZE, supersampling=1)
     transforms = np.eye(4)[None]
     if symmetries is not None:
@@ -138,6 +146,10 @@ def _read_parts(path: Path) -> list[trimesh.Trimesh]:
             raise ValueError(f"{path} has NaN or infinite coordinates in {bad} vertices")
         if part.faces.min() < 0 or part.faces.max() >= len(part.vertices):
             raise ValueError(f"{path} has faces with vertices that it does not have")
+    corners = np.concatenate([part.triangles.reshape(-1, 3) for part in parts])
+    spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
+    if spread[2] <= 1e-6 * spread[0]:
+        raise ValueError(f"{path} is flat: an object needs some thickness")
     return parts
 
 
@@ -170,11 +182,6 @@ def _weld(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     mesh = trimesh.Trimesh(vertices, faces)
     mesh.update_faces(mesh.unique_faces() & mesh.nondegenerate_faces(height=0.0))
     mesh.remove_unreferenced_vertices()
-    if not len(mesh.faces):
-        raise ValueError("the mesh has no faces of positive area")
-    if np.linalg.matrix_rank(mesh.vertices - mesh.vertices[0], tol=1e-9) < 3:
-        raise ValueError("the mesh is flat: an object needs some thickness")
-    mesh.fix_normals()
     return mesh
 
 

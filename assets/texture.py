@@ -24,12 +24,15 @@ PADDING = 6
 _UV_STEPS = 1 << 16  # exact in float32, and so is 1 - uv: files keep every bit
 
 
-def unwrap(mesh: trimesh.Trimesh, size: int = 256) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def unwrap(
+    mesh: trimesh.Trimesh, size: int = 256, tight: bool = True
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cuts a mesh into charts and packs them into one square atlas.
 
     Args:
         mesh: any triangle mesh.
         size: side of the texture in texels that the padding is meant for.
+        tight: search longer for the best packing.
 
     Returns:
         ``vertices`` (V, 3) float64 with seam vertices duplicated, ``faces`` (F, 3) int32 in the
@@ -48,7 +51,7 @@ def unwrap(mesh: trimesh.Trimesh, size: int = 256) -> tuple[np.ndarray, np.ndarr
     packing = xatlas.PackOptions()
     packing.resolution = size
     packing.padding = PADDING
-    packing.bruteForce = True
+    packing.bruteForce = tight
     packing.bilinear = True
     atlas.generate(charts, packing)
     origin, faces, uv = atlas[0]

@@ -8,7 +8,6 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
-
 from two_view_pose import assets
 from two_view_pose.assets.texture import sample_texture
 
@@ -92,7 +91,7 @@ def test_keypoints_are_farthest_points_and_the_centre(model: assets.ObjectModel)
     np.testing.assert_array_equal(model.keypoints[8], 0.0)
     distances, _ = KDTree(model.vertices).query(model.keypoints[:8])
     assert distances.max() < 1e-9
-    assert pdist(model.keypoints[:8]).min() > 0.15 * model.diameter
+    assert pdist(model.keypoints[:8]).min() > 0.1 * model.diameter
     assert np.linalg.norm(model.keypoints[0]) == np.linalg.norm(model.vertices, axis=1).max()
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import KDTree
-
 from two_view_pose import assets
 from two_view_pose.assets.build import BuildCommand
 from two_view_pose.assets.storage import read_object, save_object

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.distance import cdist, pdist
-
 from two_view_pose.assets import surface
 from two_view_pose.assets.half_turn import four_quarters, quarter
 

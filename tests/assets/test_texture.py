@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import trimesh
-
 from two_view_pose.assets.texture import bake, rasterise, sample_texture, unwrap
 
 
