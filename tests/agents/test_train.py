@@ -106,7 +106,7 @@ train_agent({killed!r})
 """
     environment = {**os.environ, "PYTHONPATH": os.fspath(Path(__file__).parent)}
     process = subprocess.Popen([sys.executable, "-c", script], env=environment)
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300
     while not (killed.out / CHECKPOINT).exists():
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.005)
