@@ -44,6 +44,27 @@ class TargetSample:
     T_cam_obj: np.ndarray
 
 
+@dataclass(frozen=True)
+class SamplingConfig:
+    """How often a target is drawn, relative to one that stands upright and can be seen.
+
+    Attributes:
+        tilted: weight of targets whose +z axis leans more than ten degrees (in the world of the
+            dataset): most objects stand as LineMOD's do.
+        hidden: weight of targets of which less than 30 percent are visible.
+    """
+
+    tilted: float = 0.2
+    hidden: float = 0.4
+
+    def weights(self, pack: CropPack) -> np.ndarray:
+        """The weight (T,) of each target."""
+        T_world_cam = invert(pack.T_cam_world[pack.frame_index])
+        up = np.einsum("ti,ti->t", T_world_cam[:, 2, :3], pack.T_cam_obj[:, :3, 2])
+        weights = np.where(up > np.cos(np.radians(10)), 1.0, self.tilted)
+        return weights * np.where(pack.visibility < 0.3, self.hidden, 1.0)
+
+
 class TrainingSet:
     """Draws training samples from a pack.
 
@@ -52,6 +73,7 @@ class TrainingSet:
         objects: the models, in the order of the pack.
         features: shape of the crops.
         augmentation: None leaves the pictures as they are, with crops centred on the target.
+        sampling: which targets to prefer.
         validation: fraction of the scenes (the last ones) that is kept for validation.
         held_out: draw from the validation scenes instead of the training scenes.
     """
@@ -63,6 +85,7 @@ class TrainingSet:
         features: FeatureConfig,
         augmentation: AugmentationConfig | None = AugmentationConfig(),
         *,
+        sampling: SamplingConfig = SamplingConfig(),
         validation: float = 0.03,
         held_out: bool = False,
     ):
@@ -77,7 +100,13 @@ class TrainingSet:
         index = pack.object_index[self.targets]
         self.by_object = [self.targets[index == k] for k in range(len(self.models))]
         self.known = [k for k, targets in enumerate(self.by_object) if len(targets)]
+        weights = sampling.weights(pack)
+        self._weights = [_normalised(weights[targets]) for targets in self.by_object]
         self._pairs = self._find_pairs()
+        self._pair_weights = [
+            _normalised(np.array([weights[group].mean() for group in groups]))
+            for groups in self._pairs
+        ]
 
     def _find_pairs(self) -> list[list[np.ndarray]]:
         """For each object, the groups of targets that show it in one static world."""
@@ -130,13 +159,14 @@ class TrainingSet:
 
     def draw_target(self, rng: np.random.Generator) -> TargetSample:
         """A random target; each object is equally likely."""
-        return self.target(int(rng.choice(self.by_object[rng.choice(self.known)])), rng)
+        index = rng.choice(self.known)
+        return self.target(int(rng.choice(self.by_object[index], p=self._weights[index])), rng)
 
     def draw_pair(self, rng: np.random.Generator) -> tuple[TargetSample, TargetSample, np.ndarray]:
         """Two views of one object: samples and T_second_ref (4, 4); the reference view first."""
         index = rng.choice([k for k in self.known if self._pairs[k]])
         groups = self._pairs[index]
-        group = groups[rng.integers(len(groups))]
+        group = groups[rng.choice(len(groups), p=self._pair_weights[index])]
         first, second = rng.choice(group, 2, replace=False)
         # From the object itself: it stands still, and real data need not know the world.
         T_second_ref = self.pack.T_cam_obj[second] @ invert(self.pack.T_cam_obj[first])
@@ -236,6 +266,10 @@ def batches(
         finally:
             for future in queue:
                 future.cancel()
+
+
+def _normalised(weights: np.ndarray) -> np.ndarray:
+    return weights / weights.sum() if len(weights) else weights
 
 
 def _shift(offset: float) -> np.ndarray:
