@@ -25,6 +25,9 @@ from .features import KEYPOINTS
 _EVIDENCE_FLOOR = 1e-3
 """What a voxel far from a vote keeps of its probability: a vote may be wrong."""
 
+_VOXEL_DEVIATION = 0.4
+"""Standard deviation in voxels that a voxel's extent adds to a vote."""
+
 
 @dataclass(frozen=True)
 class LevelConfig:
@@ -146,8 +149,11 @@ class Volume(nn.Module):
     ) -> LevelOutput:
         """Finds the keypoints in a volume around ``centre`` (B, 3); ``diameter`` is (B,)."""
         count, half = level.shape(diameter)
-        cells = voxel_centres(centre, half, count)
-        lifted, evidence = lift(views, cells, self.outside, self.evidence)
+        cell_size = 2 * half / count
+        # Only the convolutions bear bfloat16: at a metre its steps are 8 mm.
+        with torch.autocast(centre.device.type, enabled=False):
+            cells = voxel_centres(centre, half, count)
+            lifted, evidence = lift(views, cells, cell_size, self.outside, self.evidence)
         # The paper concatenates two views; further ones share the second's place.
         others = lifted[:, 1:].mean(1) if lifted.shape[1] > 1 else lifted[:, 0]
         parts = [lifted[:, 0], others]
@@ -156,15 +162,16 @@ class Volume(nn.Module):
         x = torch.cat(parts, 1)
         x = x.reshape(*x.shape[:2], count, count, count)
         x = self.output(self.trunk(x.contiguous(memory_format=torch.channels_last_3d)))
-        logits = x.reshape(*x.shape[:2], -1).float()
-        if evidence is not None:
-            logits = logits + evidence.float().sum(1)
-        log_probability = F.log_softmax(logits, -1)
-        probability = log_probability.exp()
-        keypoints = probability @ cells
-        deviation = cells[:, None] - keypoints[:, :, None]
-        covariance = torch.einsum("bkn,bkni,bknj->bkij", probability, deviation, deviation)
-        return LevelOutput(log_probability, cells, 2 * half / count, keypoints, covariance)
+        with torch.autocast(centre.device.type, enabled=False):
+            logits = x.reshape(*x.shape[:2], -1).float()
+            if evidence is not None:
+                logits = logits + evidence.sum(1)
+            log_probability = F.log_softmax(logits, -1)
+            probability = log_probability.exp()
+            keypoints = probability @ cells
+            deviation = cells[:, None] - keypoints[:, :, None]
+            covariance = torch.einsum("bkn,bkni,bknj->bkij", probability, deviation, deviation)
+        return LevelOutput(log_probability, cells, cell_size, keypoints, covariance)
 
 
 class VolumeNet(nn.Module):
@@ -205,13 +212,14 @@ def voxel_centres(centre: Tensor, half: Tensor, count: int) -> Tensor:
 
 
 def lift(
-    views: ViewMaps, cells: Tensor, outside: Tensor, with_evidence: bool
+    views: ViewMaps, cells: Tensor, cell_size: Tensor, outside: Tensor, with_evidence: bool
 ) -> tuple[Tensor, Tensor | None]:
     """Samples every view at the projections of voxels.
 
     Args:
         views: what the views bring.
         cells: (B, N, 3) in the reference camera's frame, m.
+        cell_size: (B,) side of a voxel, m.
         outside: (C,) what a voxel gets that projects outside a view.
         with_evidence: whether to lift the votes as well.
 
@@ -237,7 +245,8 @@ def lift(
     )
     if not with_evidence:
         return sampled, None
-    precision = torch.linalg.inv(views.vote_covariance)
+    covariance = views.vote_covariance + _footprint(P, cells.mean(1), cell_size).unsqueeze(2)
+    precision = torch.linalg.inv(covariance)
     offset = pixels.unsqueeze(2) - views.vote_mean.unsqueeze(3)
     x, y = offset[..., 0], offset[..., 1]
     distance = (
@@ -247,3 +256,16 @@ def lift(
     )
     evidence = torch.log(torch.exp(-0.5 * distance) + _EVIDENCE_FLOOR)
     return sampled, evidence.to(sampled.dtype)
+
+
+def _footprint(projection: Tensor, centre: Tensor, cell_size: Tensor) -> Tensor:
+    """Covariance (B, V, 2, 2) of a voxel's projection, for voxels near ``centre`` (B, 3).
+
+    A vote sharper than a voxel would fall between the centres of voxels and be lost.
+    """
+    uvw = torch.einsum("bvij,bj->bvi", projection[..., :3], centre) + projection[..., 3]
+    depth = uvw[..., 2:].clamp(min=0.05)
+    pixel = uvw[..., :2] / depth
+    rows = projection[..., :2, :3] - pixel.unsqueeze(-1) * projection[..., 2:, :3]
+    jacobian = rows * (_VOXEL_DEVIATION * cell_size[:, None, None] / depth).unsqueeze(-1)
+    return jacobian @ jacobian.transpose(-1, -2)
