@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import math
 import time
@@ -16,6 +17,10 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from .results import write_atomically
+
+
+# Of glibc's malloc.h.
+_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 
 
 class Stage(Protocol):
@@ -130,6 +135,19 @@ def run_stage(stage: Stage, config: LoopConfig, log: Callable[[str, int, dict], 
                 _save(stage, optimizer, checkpoint, step)
                 saved = time.monotonic()
     getattr(source, "close", lambda: None)()
+
+
+def keep_freed_memory() -> None:
+    """Tells glibc to keep what is freed for the next step, instead of returning it to the system.
+
+    Every step allocates the same large buffers; mapping them anew each time cost a fifth of a
+    training's time on two cores. Elsewhere than on glibc this does nothing.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        for option, value in ((_M_MMAP_THRESHOLD, 2**31 - 1), (_M_TRIM_THRESHOLD, 2**31 - 1)):
+            mallopt(option, value)
+        mallopt(_M_TOP_PAD, 2**28)
 
 
 def _save(stage: Stage, optimizer: torch.optim.Optimizer, path: Path, step: int) -> None:

@@ -83,7 +83,7 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
     from .networks import NetworkConfig, PoseNetworks
     from .results import write_results
     from .stages import DetectorStage, FeatureStage, VolumeStage
-    from .trainer import LoopConfig, run_stage
+    from .trainer import LoopConfig, keep_freed_memory, run_stage
     from .weights import read_networks, save_weights
 
     unknown = [stage for stage in config.stages if stage not in _STAGES]
@@ -91,6 +91,7 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
         raise ValueError(f"unknown stages {unknown}; there are {', '.join(_STAGES)}")
     if config.threads:
         torch.set_num_threads(config.threads)
+    keep_freed_memory()
     torch.manual_seed(config.seed)
     objects = assets.load_objects(list(config.objects) or None)
     networks = PoseNetworks(objects, NetworkConfig(preset=config.preset))
