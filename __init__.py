@@ -10,8 +10,10 @@ __version__ = "0.1.0"
 register(
     id="TwoViewPose-v0",
     entry_point="two_view_pose.envs.two_view_pose:TwoViewPoseEnv",
+    vector_entry_point="two_view_pose.envs.vector:make_two_view_pose",
 )
 register(
     id="TwoViewPoseDiscrete-v0",
     entry_point="two_view_pose.envs.two_view_pose:TwoViewPoseDiscreteEnv",
+    vector_entry_point="two_view_pose.envs.vector:make_two_view_pose_discrete",
 )

@@ -219,7 +219,8 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         episode = self._running()
         model = self._objects[episode.object_name]
         panels = [self._panel(i) for i in range(len(episode.views))]
-        return comparison(model, panels[0], panels[-1] if len(panels) > 1 else None)
+        subtitle = f"{100 * episode.visibility:.0f} % visible in the reference view"
+        return comparison(model, subtitle, panels[0], panels[-1] if len(panels) > 1 else None)
 
     def close(self) -> None:
         """Frees the GL context and the window; may be called again."""

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..assets.object_model import ObjectModel
 from ..pose_estimator.geometry import transform
-from .overlay import ESTIMATE_COLOUR, TRUE_COLOUR, draw_poses
+from ..pose_estimator.overlay import ESTIMATE_COLOUR, TRUE_COLOUR, draw_poses
 
 _PANEL = (480, 640)  # height, width
 _MARGIN, _GAP = 28, 24
@@ -57,11 +57,14 @@ class Panel:
         return cv2.resize(self.image, shape[::-1], interpolation=cv2.INTER_AREA), A @ self.K
 
 
-def comparison(model: ObjectModel, reference: Panel, second: Panel | None) -> np.ndarray:
+def comparison(
+    model: ObjectModel, subtitle: str, reference: Panel, second: Panel | None
+) -> np.ndarray:
     """Reference and second view side by side, outlines drawn, ADD(-S) below each.
 
     Args:
         model: the target.
+        subtitle: a few words beside its name.
         reference: the reference view with the pose from one view.
         second: the second view with the pose from both; None leaves its place empty.
 
@@ -72,7 +75,8 @@ def comparison(model: ObjectModel, reference: Panel, second: Panel | None) -> np
     canvas_size = (2 * _MARGIN + _GAP + 2 * width, _TOP + height + _BOTTOM)
     canvas = Image.new("RGB", canvas_size, _PAPER)
     draw = ImageDraw.Draw(canvas)
-    _text(draw, (_MARGIN, 44), model.name, 32)
+    end = _text(draw, (_MARGIN, 44), model.name, 32)
+    _text(draw, (end + 16, 48), subtitle, 18, _GREY)
     _legend(draw, canvas_size[0] - _MARGIN, 44, reference.T_cam_obj_estimate is not None)
     for column, panel in enumerate((reference, second)):
         x = _MARGIN + column * (width + _GAP)
@@ -138,7 +142,7 @@ def _score(
     measure = "ADD-S" if model.symmetric else "ADD"
     end = _text(draw, at, f"{measure}  {1e3 * add:.1f} mm", 24)
     share = add / model.diameter
-    verdict = "correct, below 10 %" if share < 0.1 else "not below 10 %"
+    verdict = "correct: below 10 %" if share < 0.1 else "correct would be below 10 %"
     note = f"{100 * share:.1f} % of the diameter ({verdict})"
     _text(draw, (end + 16, at[1]), note, 18, TRUE_COLOUR if share < 0.1 else _GREY)
 
