@@ -12,6 +12,7 @@ import platform
 import sys
 from typing import Any
 
+_LIBRARIES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 INSTALL_HINT = "apt-get install -y libegl1 libgl1-mesa-dri   (or: apt-get install -y libosmesa6)"
 
 _backend: str | None = None
@@ -20,6 +21,18 @@ _process: int | None = None
 
 class GraphicsUnavailable(RuntimeError):
     """No OpenGL library that draws without a screen was found; the message says what to install."""
+
+
+try:
+    import mujoco as mujoco
+except Exception as error:  # MuJoCo opens the library that MUJOCO_GL names when it is imported
+    _named = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if _named not in _LIBRARIES:
+        raise
+    raise GraphicsUnavailable(
+        f"MUJOCO_GL={_named}, but its library does not load ({error}). Install it with "
+        f"apt-get install -y {_LIBRARIES[_named]}, or unset MUJOCO_GL"
+    ) from error
 
 
 def backend() -> str | None:

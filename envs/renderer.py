@@ -13,7 +13,6 @@ import weakref
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 
 from ..pose_estimator.geometry import (
@@ -25,7 +24,7 @@ from ..pose_estimator.geometry import (
     transform,
 )
 from .camera import frustum, opencv_to_opengl
-from .gl import open_context
+from .gl import mujoco, open_context
 from .world import FAR, MOVABLE, NEAR, PROBED, ROOM
 
 if TYPE_CHECKING:

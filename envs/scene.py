@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-import mujoco
 import numpy as np
 
 from ..assets.object_model import ObjectModel
 from ..pose_estimator.geometry import check_rigid
 from .arrangement import Arrangement, Thing, arrange
 from .camera import CameraRange
+from .gl import mujoco
 from .placement import resting_poses
 from .randomization import Randomization, apply_randomization, neutral_look
 from .renderer import Graphics

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 import trimesh
 
 from ..assets.object_model import ObjectModel
+from .gl import mujoco
 
 TABLE_HALF = (0.9, 0.7, 0.02)
 """Half sizes of the table's board in metres; its top is z = 0."""

@@ -5,6 +5,9 @@ from __future__ import annotations
 import dataclasses
 import gc
 import multiprocessing
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import cv2
@@ -306,3 +309,20 @@ def test_without_opengl_the_error_says_what_to_install(monkeypatch: pytest.Monke
     monkeypatch.setattr(gl, "_process", -1)
     with pytest.raises(gl.GraphicsUnavailable, match="forked"):
         gl.open_context(64, 64)
+
+
+def test_a_named_back_end_that_is_missing_is_named_in_the_error() -> None:
+    program = (
+        "import sys\n"
+        "class Missing:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'mujoco.osmesa': raise AttributeError('no library')\n"
+        "sys.meta_path.insert(0, Missing())\n"
+        "import two_view_pose.envs.scene\n"
+    )
+    environment = {**os.environ, "MUJOCO_GL": "osmesa"}
+    run = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True
+    )
+    assert "GraphicsUnavailable" in run.stderr
+    assert "apt-get install -y libosmesa6" in run.stderr
