@@ -94,7 +94,8 @@ def _import(
 
     mesh = _weld(parts)
     outward = mesh.is_winding_consistent and mesh.volume > 0
-    mesh.fix_normals()
+    if not outward:
+        mesh.fix_normals()
     mesh = _lighten(mesh)
     points, normals, colours = sample_colours(parts)
     # Normals tell the two sides of a thin wall apart, where the file has them right.

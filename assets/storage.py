@@ -6,6 +6,7 @@ import json
 import os
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -44,7 +45,8 @@ def save_object(model: ObjectModel, folder: str | Path) -> None:
         visual=trimesh.visual.TextureVisuals(uv=model.uv, material=material),
         process=False,
     )
-    scene = trimesh.Scene({model.name: mesh})
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, geom_name=model.name)
     _write(folder / MESH_FILE, trimesh.exchange.gltf.export_glb(scene))
     numbers: dict[str, object] = {"format": FORMAT_VERSION}
     numbers |= {key: getattr(model, key) for key in _SCALARS}
@@ -70,14 +72,9 @@ def read_object(folder: str | Path) -> ObjectModel:
         if numbers["format"] != FORMAT_VERSION:
             raise ValueError(f"format is {numbers['format']}, this version reads {FORMAT_VERSION}")
         vertices, faces, uv, texture = _read_glb(folder / MESH_FILE)
-        return ObjectModel(
-            vertices=vertices,
-            faces=faces,
-            uv=uv,
-            texture=texture,
-            **{key: numbers[key] for key in _SCALARS},
-            **{key: np.asarray(numbers[key], dtype=np.float64) for key in _ARRAYS},
-        )
+        known: dict[str, Any] = {key: numbers[key] for key in _SCALARS}
+        known |= {key: np.asarray(numbers[key], dtype=np.float64) for key in _ARRAYS}
+        return ObjectModel(vertices=vertices, faces=faces, uv=uv, texture=texture, **known)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"the object in {folder} cannot be read: {error}") from error
 

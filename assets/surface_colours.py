@@ -61,20 +61,18 @@ def _sample(
 def _colours(part: trimesh.Trimesh, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """RGB (N, 3) in [0, 1] at barycentric ``weights`` (N, 3) of the faces ``face`` (N,)."""
     visual = part.visual
-    if visual.kind == "vertex":
+    if isinstance(visual, trimesh.visual.TextureVisuals):
+        picture, factor = _picture_and_factor(visual.material)
+        if picture is None or visual.uv is None:
+            return np.tile(factor, (len(face), 1))
+        uv = np.einsum("nk,nki->ni", weights, np.asarray(visual.uv)[part.faces[face], :2])
+        return np.clip(sample_texture(picture, uv) * factor, 0.0, 1.0)
+    if visual is not None and visual.kind == "vertex":
         rgb = np.asarray(visual.vertex_colors)[:, :3] / 255.0
         return np.einsum("nk,nki->ni", weights, rgb[part.faces[face]])
-    if visual.kind == "face":
+    if visual is not None and visual.kind == "face":
         return np.asarray(visual.face_colors)[face, :3] / 255.0
-    if visual.kind != "texture":
-        return np.tile(PLAIN, (len(face), 1))
-
-    material = visual.material
-    picture, factor = _picture_and_factor(material)
-    if picture is None or visual.uv is None:
-        return np.tile(factor, (len(face), 1))
-    uv = np.einsum("nk,nki->ni", weights, np.asarray(visual.uv)[part.faces[face], :2])
-    return np.clip(sample_texture(picture, uv) * factor, 0.0, 1.0)
+    return np.tile(PLAIN, (len(face), 1))
 
 
 def _picture_and_factor(
