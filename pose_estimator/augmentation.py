@@ -77,6 +77,6 @@ def augment_colours(
     if sigma > 1:
         noise = np.empty(out.shape, np.int16)
         cv2.setRNGSeed(int(rng.integers(2**31)))
-        cv2.randn(noise, 0, sigma)
+        cv2.randn(noise, 0, sigma)  # type: ignore[call-overload]
         out = np.clip(out + noise, 0, 255).astype(np.uint8)
     return out

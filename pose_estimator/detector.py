@@ -98,7 +98,7 @@ def detector_input(image: np.ndarray, config: DetectorConfig) -> tuple[np.ndarra
     """
     height, width = image.shape[:2]
     scale = max(width / config.width, height / config.height)
-    inner = (round(width / scale), round(height / scale))
+    inner = (max(1, round(width / scale)), max(1, round(height / scale)))
     small = cv2.resize(image, inner, interpolation=cv2.INTER_AREA)
     if inner != (config.width, config.height):
         small = cv2.copyMakeBorder(

@@ -141,9 +141,9 @@ def read_networks(path: str | Path) -> PoseNetworks:
             else assets.load_object(name)
             for name, entry in header["objects"].items()
         }
-    except (KeyError, TypeError) as error:
+        networks = PoseNetworks(objects, config)
+    except (AttributeError, KeyError, RuntimeError, TypeError) as error:
         raise ValueError(f"the header of {path} does not describe networks: {error}") from error
-    networks = PoseNetworks(objects, config)
     try:
         tensors = load_file(path)
     except (SafetensorError, OSError) as error:
