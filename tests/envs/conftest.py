@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
 from two_view_pose.assets.object_model import ObjectModel
+
+sys.path.insert(0, str(Path(__file__).parent))  # for the stand-in estimators beside this file
 
 
 def primitive_model(name: str, mesh: trimesh.Trimesh, obj_id: int = 1) -> ObjectModel:

@@ -1,0 +1,397 @@
+"""Two-View Pose: what an episode returns, what it depends on, and what it refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import two_view_pose  # noqa: F401  (registers the ids)
+from estimators import ConstantEstimator, PickyEstimator, TableEstimator, pose, relative
+from gymnasium.error import ResetNeeded
+from two_view_pose.envs.carrier import PoseNoise, camera_centre
+from two_view_pose.envs.two_view_pose import (
+    CANDIDATE_VIEWS,
+    TwoViewPoseDiscreteEnv,
+    TwoViewPoseEnv,
+)
+from two_view_pose.pose_estimator.geometry import invert, transform
+
+SMALL = (120, 160)
+Make = Callable[..., Any]
+
+
+@pytest.fixture
+def make(objects) -> Iterator[Make]:
+    """Makes small environments, continuous unless told otherwise, and closes them."""
+    made = []
+
+    def build(kind: type = TwoViewPoseEnv, **kwargs: Any) -> Any:
+        env = kind(**{"objects": objects, "estimator": None, "resolution": SMALL, **kwargs})
+        made.append(env)
+        return env
+
+    yield build
+    for env in made:
+        env.close()
+
+
+def same(first: Any, second: Any) -> bool:
+    """Whether two nested dicts of arrays are equal to the byte."""
+    if isinstance(first, dict):
+        return first.keys() == second.keys() and all(same(first[k], second[k]) for k in first)
+    if isinstance(first, np.ndarray):
+        return first.dtype == second.dtype and first.tobytes() == second.tobytes()
+    return first == second
+
+
+def test_same_seed_same_bytes(make):
+    outcomes = []
+    for env in (make(estimator=TableEstimator()), make(estimator=TableEstimator())):
+        rollout = []
+        for episode in range(3):
+            rollout.append(env.reset(seed=7 if episode == 0 else None))
+            rollout.append(env.step(np.array([0.3, -0.2, 0.1])))
+            rollout.append([view.image for view in env.views])
+        outcomes.append(rollout)
+    for first, second in zip(*outcomes, strict=True):
+        assert all(same(a, b) for a, b in zip(first, second, strict=True))
+
+
+def test_another_seed_is_another_scene(make):
+    env = make()
+    pictures = []
+    for seed in (1, 2):
+        env.reset(seed=seed)
+        pictures.append(env.views[0].image)
+    assert not np.array_equal(*pictures)
+
+
+@pytest.mark.parametrize("with_object", [False, True])
+def test_an_episode_is_played_again_from_its_info(make, with_object):
+    env = make()
+    _, info = env.reset(seed=3)
+    first = env.step(np.zeros(3))
+    env.reset()
+    options = {"scene_seed": info["scene_seed"]}
+    if with_object:
+        options["object"] = info["object"]
+    _, again = env.reset(options=options)
+    assert same(info, again)
+    assert same(first[0], env.step(np.zeros(3))[0])
+
+
+def test_observations_are_fresh_and_in_the_space(make):
+    env = make(estimator=ConstantEstimator(pose((0, 0, 0), (5.0, -7.0, 40.0)), sigma=1e6))
+    seen = [env.reset(seed=0)[0], env.step(np.ones(3))[0], env.reset()[0]]
+    for observation in seen:
+        assert env.observation_space.contains(observation)
+        for key, value in observation.items():
+            assert value.dtype == env.observation_space[key].dtype
+            assert not any(np.shares_memory(value, o[key]) for o in seen if o is not observation)
+    np.testing.assert_array_equal(seen[0]["translation"], [1, -1, 3])  # clipped
+    np.testing.assert_array_equal(seen[0]["uncertainty"], 2)
+
+
+def test_not_a_number_in_the_covariance_counts_as_hopeless(make):
+    env = make(estimator=ConstantEstimator(sigma=np.nan))
+    np.testing.assert_array_equal(env.reset(seed=0)[0]["uncertainty"], 2)
+
+
+def test_observation_follows_the_estimate_and_nothing_else(make):
+    estimator = ConstantEstimator(sigma=0.02, score=0.75)
+    env = make(estimator=estimator)
+    for seed in range(4):
+        for observation in (env.reset(seed=seed)[0], env.step(np.zeros(3))[0]):
+            T = estimator.T_cam_obj
+            np.testing.assert_allclose(observation["rotation"], T[:3, :2].T.ravel(), atol=1e-6)
+            np.testing.assert_allclose(observation["translation"], T[:3, 3], atol=1e-6)
+            np.testing.assert_allclose(observation["uncertainty"], np.log10(2.0), atol=1e-6)
+            np.testing.assert_allclose(observation["score"], 0.75)
+
+
+def test_object_one_hot_and_order(make, objects):
+    env = make()
+    assert env.object_names == tuple(objects)
+    for i, name in enumerate(objects):
+        observation, info = env.reset(options={"object": name})
+        np.testing.assert_array_equal(observation["object"], np.eye(len(objects))[i])
+        assert info["object"] == name
+
+
+def test_truth_is_under_ground_truth_alone(make):
+    env = make(estimator=ConstantEstimator())
+    _, info = env.reset(seed=5)
+    assert set(info["ground_truth"]) == {"T_cam_obj", "visibility", "add_first", "success"}
+    *_, info = env.step(np.zeros(3))
+    truth = info.pop("ground_truth")
+    np.testing.assert_array_equal(info["T_cam_obj"], ConstantEstimator().T_cam_obj)
+    assert 0 <= truth["visibility"] <= 1
+    assert not np.allclose(truth["T_cam_obj"], info["T_cam_obj"])
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.05, 2.0])
+def test_reward(make, objects, weight):
+    T_off = pose((0.02, -0.03, 0.05), (0.004, -0.003, 0.006))
+    truth = make(travel_weight=weight)
+    _, info = truth.reset(seed=11)
+    T_true = info["ground_truth"]["T_cam_obj"]
+    env = make(estimator=ConstantEstimator(T_true @ T_off), travel_weight=weight)
+    env.reset(seed=11)
+    _, reward, terminated, truncated, info = env.step(np.array([0.4, 0.1, -0.5]))
+    model = objects[info["object"]]
+    moved = transform(T_true @ T_off, model.points) - transform(T_true, model.points)
+    add = np.sqrt((moved**2).sum(axis=1)).mean()
+    centres = [camera_centre(view.T_cam_world) for view in env.views]
+    travel = np.sqrt(((centres[1] - centres[0]) ** 2).sum())
+    assert info["travel"] == pytest.approx(travel)
+    assert info["ground_truth"]["add_second"] == pytest.approx(add)
+    assert info["ground_truth"]["success"] is bool(add < 0.1 * model.diameter)
+    assert reward == pytest.approx(-add / model.diameter - weight * travel)
+    assert type(reward) is float
+    assert terminated is True and truncated is False
+
+
+def test_a_hopeless_pose_costs_one(make):
+    env = make(estimator=ConstantEstimator(pose((0, 0, 0), (0, 0, 9.0))), travel_weight=0.0)
+    env.reset(seed=0)
+    assert env.step(np.zeros(3))[1] == -1.0
+
+
+def test_without_an_estimator_travel_alone_is_paid_for(make):
+    env = make()
+    observation, info = env.reset(seed=2)
+    for key in ("rotation", "translation", "uncertainty", "score"):
+        np.testing.assert_array_equal(observation[key], 0)
+    assert "add_first" not in info["ground_truth"]
+    observation, reward, terminated, _, info = env.step(np.ones(3))
+    assert reward == pytest.approx(-0.05 * info["travel"])
+    assert reward < 0 and terminated
+
+
+def test_action_is_a_place_on_the_sphere_around_the_estimate(make):
+    env = make(estimator=TableEstimator())
+    env.reset(seed=4)
+    middle = np.array([0.0, 0.0, 0.03])
+    np.testing.assert_allclose(env.sphere_centre, middle, atol=1e-12)
+    reference = camera_centre(env.views[0].T_cam_world) - middle
+    for action, offset, elevation, distance in (
+        ((-1, -1, -1), -90, 7, 0.6),
+        ((1, 1, 1), 90, 82, 1.4),
+        ((0, 0, 0), 0, 44.5, 1.0),
+        ((0.5, -0.2, 0.25), 45, 37, 1.1),
+    ):
+        T_cam_world = env.camera_pose(np.array(action, dtype=np.float32))
+        x, y, z = camera_centre(T_cam_world) - middle
+        assert np.linalg.norm((x, y, z)) == pytest.approx(distance, abs=1e-6)
+        assert np.rad2deg(np.arcsin(z / distance)) == pytest.approx(elevation, abs=1e-4)
+        turned = np.rad2deg(np.arctan2(y, x) - np.arctan2(reference[1], reference[0]))
+        assert (turned - offset + 180) % 360 - 180 == pytest.approx(0, abs=1e-4)
+        x, y, z = transform(T_cam_world, middle)  # it looks at the middle, level
+        np.testing.assert_allclose((x, y), 0, atol=1e-9)
+        assert invert(T_cam_world)[2, 0] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_wild_estimate_keeps_the_camera_above_the_table(make):
+    for translation in ((0, 0, -3.0), (8, 8, 8), (0, 50, 1)):
+        env = make(estimator=ConstantEstimator(pose((0, 0, 0), translation)))
+        env.reset(seed=1)
+        assert camera_centre(env.camera_pose(np.array([1, -1, -1])))[2] > 0.05
+
+
+def test_camera_observation(make):
+    env = make(estimator=TableEstimator())
+    place = {"distance": 0.9, "azimuth": 0.7, "elevation": 0.6}
+    observation, info = env.reset(seed=0, options={"reference_camera": place})
+    x, y, z = camera_centre(info["T_cam_world"])
+    np.testing.assert_allclose(
+        (np.hypot(np.hypot(x, y), z), np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))),
+        tuple(place.values()),
+    )
+    distance, elevation = np.hypot(np.hypot(x, y), z - 0.03), np.arctan2(z - 0.03, np.hypot(x, y))
+    expected = (distance, np.sin(elevation), np.cos(elevation), 0, 1, 0, 1)
+    np.testing.assert_allclose(observation["camera"], expected, atol=1e-6)
+    observation, *_ = env.step(np.array([1.0, 1.0, 1.0]))
+    high = np.deg2rad(82)
+    expected = (1.4, np.sin(high), np.cos(high), 1, 0, 0, 1)
+    np.testing.assert_allclose(observation["camera"], expected, atol=1e-5)
+
+
+def test_crop_shows_what_the_detection_frames(make):
+    estimator = ConstantEstimator()
+    env = make(estimator=estimator, image_size=60)  # the side of the region: one to one
+    observation, _ = env.reset(seed=0)
+    picture = env.views[0].image
+    half = 0.5 * (picture[30:90, 50:110].astype(float) + picture[31:91, 51:111])  # centre 80, 60
+    assert np.abs(observation["image"].astype(float) - half).mean() < 6
+    assert env.observation_space["image"].shape == (60, 60, 3)
+
+
+def test_pose_noise_reaches_the_estimator_only(make):
+    told, seen = [], []
+    for noise in (None, PoseNoise(2.0, 0.01), (2.0, 0.01)):
+        estimator = ConstantEstimator()
+        env = make(estimator=estimator, pose_noise=noise)
+        env.reset(seed=9)
+        *_, info = env.step(np.array([0.5, 0.0, 0.0]))
+        told.append(relative(estimator.calls[-1][0]))
+        info["images"] = np.stack([view.image for view in env.views])
+        info["reference"] = estimator.calls[-1][0][0].T_cam_world
+        seen.append(info)
+    assert same(seen[0], seen[1]) and same(seen[0], seen[2])
+    np.testing.assert_array_equal(told[1], told[2])
+    error = told[1] @ invert(told[0])
+    angle = np.rad2deg(np.arccos((np.trace(error[:3, :3]) - 1) / 2))
+    assert 0.1 < angle < 12 and 1e-4 < np.linalg.norm(error[:3, 3]) < 0.06
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        np.array([np.nan, 0, 0]),
+        np.array([0, np.inf, 0]),
+        np.array([0, 0, 1.01]),
+        np.zeros(2),
+        np.zeros((1, 3)),
+        None,
+        "left",
+        ["a", "b", "c"],
+    ],
+)
+def test_bad_actions(make, action):
+    env = make()
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="action must be three numbers from -1 to 1"):
+        env.step(action)
+    env.step(np.zeros(3))  # the episode goes on after the refusal
+
+
+@pytest.mark.parametrize("action", [-1, 24, 1.5, True, np.array([3, 4]), None, float("nan")])
+def test_bad_discrete_actions(make, action):
+    env = make(TwoViewPoseDiscreteEnv)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="action must be an integer from 0 to 23"):
+        env.step(action)
+
+
+def test_candidate_views(make):
+    env = make(TwoViewPoseDiscreteEnv, estimator=TableEstimator())
+    assert env.action_space == gym.spaces.Discrete(24) and len(CANDIDATE_VIEWS) == 24
+    env.reset(seed=1)
+    middle = np.array([0.0, 0.0, 0.03])
+    reference = camera_centre(env.views[0].T_cam_world) - middle
+    for i in (0, np.int64(10), np.array(23)):
+        x, y, z = camera_centre(env.camera_pose(i)) - middle
+        offset, elevation = CANDIDATE_VIEWS[int(i)]
+        radius = np.clip(np.linalg.norm(reference), 0.6, 1.4)
+        assert np.linalg.norm((x, y, z)) == pytest.approx(radius)
+        assert np.rad2deg(np.arcsin(z / radius)) == pytest.approx(elevation)
+        turned = np.rad2deg(np.arctan2(y, x) - np.arctan2(reference[1], reference[0]))
+        assert (turned - offset + 180) % 360 - 180 == pytest.approx(0, abs=1e-6)
+    assert make(TwoViewPoseDiscreteEnv, candidate_views=[(30, 45)]).action_space.n == 1
+
+
+@pytest.mark.parametrize(
+    "views", [[], [(1, 2, 3)], [(0, 5)], [(200, 45)], [(np.nan, 45)], [(0, 90)]]
+)
+def test_bad_candidate_views(make, views):
+    with pytest.raises(ValueError, match="candidate_views must be pairs"):
+        make(TwoViewPoseDiscreteEnv, candidate_views=views)
+
+
+def test_an_episode_has_one_step(make):
+    env = make()
+    for call in (lambda: env.step(np.zeros(3)), lambda: env.sphere_centre, lambda: env.figure()):
+        with pytest.raises(ResetNeeded, match="reset"):
+            call()
+    env.reset(seed=0)
+    env.step(np.zeros(3))
+    with pytest.raises(ResetNeeded, match="reset"):
+        env.step(np.zeros(3))
+
+
+def test_unknown_object_names_the_training_command(make):
+    with pytest.raises(ValueError, match=r"ball.*train-estimator --objects"):
+        make(estimator=PickyEstimator())
+
+
+def test_own_estimator_may_know_everything(make):
+    make(estimator=ConstantEstimator()).reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"estimator": 3}, "estimator must be"),
+        ({"estimator": "guess"}, "unknown method"),
+        ({"scene": "kitchen"}, "scene kind"),
+        ({"travel_weight": -1.0}, "travel_weight"),
+        ({"travel_weight": np.nan}, "travel_weight"),
+        ({"pose_noise": (1.0,)}, "pose_noise"),
+        ({"pose_noise": (-1.0, 0.0)}, "pose_noise.rotation_deg"),
+        ({"image_size": 8}, "image_size"),
+        ({"resolution": (100, 100)}, "resolution"),
+        ({"render_mode": "ascii"}, "render_mode"),
+        ({"objects": ["unicorn"]}, "unicorn"),
+    ],
+)
+def test_bad_arguments(make, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        make(**arguments)
+
+
+def test_an_estimator_that_answers_no_pose(make):
+    env = make(estimator=ConstantEstimator(np.full((4, 4), np.nan)))
+    with pytest.raises(ValueError, match="the estimator's T_cam_obj"):
+        env.reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"sceneseed": 1}, "sceneseed.*object, scene_seed, reference_camera"),
+        ({"object": "unicorn"}, "object must be one of brick"),
+        ({"scene_seed": -1}, "scene_seed"),
+        ({"scene_seed": 1.5}, "scene_seed"),
+        ({"scene_seed": True}, "scene_seed"),
+        ({"reference_camera": np.full((4, 4), np.nan)}, "reference_camera"),
+        ({"reference_camera": np.eye(3)}, "reference_camera"),
+        ({"reference_camera": np.diag([1, 1, -1, 1])}, "reference_camera"),
+        ({"reference_camera": "above"}, "reference_camera"),
+        ({"reference_camera": {"distance": 1.0}}, "distance, azimuth, elevation"),
+        ({"reference_camera": {"distance": 1, "azimuth": 0, "elevation": 45}}, "elevation.*rad"),
+        ({"reference_camera": {"distance": 9, "azimuth": 0, "elevation": 1}}, "distance.*1.4 m"),
+        ({"reference_camera": {"distance": 1, "azimuth": np.nan, "elevation": 1}}, "azimuth"),
+        ([], "options must be a dict"),
+    ],
+)
+def test_bad_options(make, options, message):
+    with pytest.raises(ValueError, match=message):
+        make().reset(options=options)
+
+
+def test_reference_camera_as_a_matrix(make):
+    env = make()
+    _, info = env.reset(seed=0)
+    _, again = env.reset(seed=1, options={"reference_camera": info["T_cam_world"]})
+    np.testing.assert_allclose(again["T_cam_world"], info["T_cam_world"], atol=1e-12)
+
+
+def resident_bytes() -> int:
+    """Memory that this process holds now."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * 4096
+
+
+def test_memory_stays_flat(make):
+    env = make()
+    env.reset(seed=0)
+    sizes = []
+    for _ in range(3):
+        for _ in range(100):
+            env.reset()
+            env.step(env.action_space.sample())
+        sizes.append(resident_bytes())
+    assert sizes[2] - sizes[0] < 4e6, sizes
