@@ -95,6 +95,7 @@ class Graphics:
         """Draws into the lower left corner of the buffer; :meth:`read` gets the pixels."""
         context = self._ready(height, width)
         scene = self._scene
+        assert scene is not None
         self._option.geomgroup[:] = 0
         self._option.geomgroup[list(groups)] = 1
         mujoco.mjv_updateScene(

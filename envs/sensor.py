@@ -82,7 +82,9 @@ def apply_sensor(rgb: np.ndarray, config: SensorConfig, rng: np.random.Generator
     if compress:
         bgr = cv2.cvtColor(out, cv2.COLOR_RGB2BGR)
         _, code = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, quality))
-        out = cv2.cvtColor(cv2.imdecode(code, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+        decoded = cv2.imdecode(code, cv2.IMREAD_COLOR)
+        assert decoded is not None
+        out = cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB)
     return out
 
 

@@ -21,6 +21,8 @@ TABLE_HALF = (0.9, 0.7, 0.02)
 FLOOR_Z = -0.72
 ROOM_HALF = 2.6
 """Half the side of the square room in metres."""
+WALL_HALF = 1.6
+"""Half the height of its walls in metres."""
 NEAR, FAR = 0.03, 12.0
 """Clipping planes in metres."""
 
@@ -120,7 +122,6 @@ def _add_room(spec: mujoco.MjSpec) -> None:
     ):
         _add_texture(spec, name, size)
         _add_material(spec, name, name)
-    wall_z = 1.6
     table = spec.worldbody.add_geom(
         name="table",
         type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -132,29 +133,37 @@ def _add_room(spec: mujoco.MjSpec) -> None:
     _make_collidable(table)
     # Flat boxes rather than planes: MuJoCo draws a plane in both directions and in many tiles.
     r = ROOM_HALF
-    sheets = [("floor", (r, r, 0.01), (0, 0, FLOOR_Z - 0.01), (1, 0, 0, 0))]
-    turn = np.sqrt(0.5)
-    for i, (x, y) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1))):
-        angle = np.arctan2(-y, -x)  # the sheet's z axis looks into the room, its y axis is up
-        yaw = np.array([np.cos((angle + np.pi / 2) / 2), 0, 0, np.sin((angle + np.pi / 2) / 2)])
-        tilt = np.array([turn, turn, 0, 0])
-        quat = np.zeros(4)
-        mujoco.mju_mulQuat(quat, yaw, tilt)
-        sheets.append(
-            (f"wall{i}", (r, wall_z, 0.01), (x * r, y * r, FLOOR_Z + wall_z), tuple(quat))
-        )
-    for name, size, pos, quat in sheets:
-        spec.worldbody.add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=size,
-            pos=pos,
-            quat=quat,
-            material=name.rstrip("0123"),
-            group=ROOM,
-            contype=0,
-            conaffinity=0,
-        )
+    _add_sheet(spec, "floor", (r, r), np.array([0.0, 0.0, FLOOR_Z]), np.eye(3))
+    for i in range(4):
+        cos, sin = np.cos(i * np.pi / 2), np.sin(i * np.pi / 2)
+        centre = np.array([r * cos, r * sin, FLOOR_Z + WALL_HALF])
+        # Columns: along the wall, up, into the room.
+        axes = np.array([[sin, 0.0, -cos], [-cos, 0.0, -sin], [0.0, 1.0, 0.0]])
+        _add_sheet(spec, f"wall{i}", (r, WALL_HALF), centre, axes)
+
+
+def _add_sheet(
+    spec: mujoco.MjSpec,
+    name: str,
+    half: tuple[float, float],
+    centre: np.ndarray,
+    axes: np.ndarray,
+) -> None:
+    """A part of the room that nothing collides with; the third of its axes looks inwards."""
+    thickness = 0.01
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, axes.ravel())
+    spec.worldbody.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=(*half, thickness),
+        pos=centre - thickness * axes[:, 2],
+        quat=quat,
+        material=name.rstrip("0123"),
+        group=ROOM,
+        contype=0,
+        conaffinity=0,
+    )
 
 
 def _add_object(spec: mujoco.MjSpec, name: str, model: ObjectModel) -> None:
