@@ -181,7 +181,7 @@ def summarise(outcomes: Sequence[Outcome], tags: Mapping[str, Any], seed: int = 
                  "low": low, "high": high, "n": len(values), **tags}
             )  # fmt: skip
         mean = float(np.mean([values.mean() for values in by_object.values()]))
-        low, high = bootstrap_interval(np.concatenate(list(by_object.values())), rng)
+        low, high = _interval_of_mean(list(by_object.values()), rng)
         records.append(
             {"metric": metric, "value": mean, "unit": unit, "object": "mean",
              "low": low, "high": high, "n": len(outcomes), **tags}
@@ -189,6 +189,18 @@ def summarise(outcomes: Sequence[Outcome], tags: Mapping[str, Any], seed: int = 
     seconds = float(np.median([o.seconds for o in outcomes]))
     records.append({"metric": "seconds_per_pair", "value": seconds, "unit": "s", **tags})
     return records
+
+
+def _interval_of_mean(
+    groups: Sequence[np.ndarray], rng: np.random.Generator, resamples: int = 2000
+) -> tuple[float, float]:
+    """95 percent bootstrap interval of the mean over objects, resampled within each object."""
+    means = [
+        values[rng.integers(len(values), size=(resamples, len(values)))].mean(1)
+        for values in groups
+    ]
+    low, high = np.quantile(np.mean(means, axis=0), [0.025, 0.975])
+    return float(low), float(high)
 
 
 def print_table(records: Sequence[Mapping[str, Any]], title: str) -> None:

@@ -73,7 +73,7 @@ def check_image(image: np.ndarray, name: str = "image") -> np.ndarray:
         ValueError: otherwise.
     """
     array = np.asarray(image)
-    if array.ndim != 3 or array.shape[2] != 3 or array.dtype != np.uint8:
+    if array.ndim != 3 or array.shape[2] != 3 or array.size == 0 or array.dtype != np.uint8:
         raise ValueError(
             f"{name} must be uint8 RGB of shape (height, width, 3), "
             f"got {array.dtype} of shape {array.shape}"
