@@ -1,0 +1,166 @@
+"""Training samples: labels, pictures and cameras agree after every augmentation."""
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from two_view_pose.pose_estimator.augmentation import AugmentationConfig, augment_colours
+from two_view_pose.pose_estimator.crops import CropPack
+from two_view_pose.pose_estimator.dataset import TargetSample, TrainingSet, batches, stack_targets
+from two_view_pose.pose_estimator.detector import DetectorConfig, decode
+from two_view_pose.pose_estimator.features import FeatureConfig, Features2D
+from two_view_pose.pose_estimator.frontend import grid_matrix, vote
+from two_view_pose.pose_estimator.geometry import project, transform
+from two_view_pose.pose_estimator.symmetry import canonical_pose
+
+CONFIG = FeatureConfig()
+
+
+@pytest.fixture(scope="module")
+def training(pack: CropPack, boxes) -> TrainingSet:
+    return TrainingSet(pack, boxes, CONFIG)
+
+
+def drawn_mask(sample: TargetSample, model) -> np.ndarray:
+    """The silhouette of the sample's pose through the sample's camera, at the grid's size."""
+    pixels = project(transform(sample.T_cam_obj, model.vertices), sample.K)
+    hull = cv2.convexHull(pixels.astype(np.float32)).round().astype(np.int32)
+    mask = cv2.fillConvexPoly(np.zeros((CONFIG.crop,) * 2, np.uint8), hull, 255)
+    return cv2.resize(mask, (CONFIG.grid,) * 2, interpolation=cv2.INTER_AREA) / 255.0
+
+
+@pytest.mark.parametrize("augmented", [False, True])
+def test_the_pose_falls_on_the_mask_and_on_the_picture(pack, boxes, augmented):
+    bent = AugmentationConfig(erase=0, noise=0, blur=0) if augmented else None
+    training = TrainingSet(pack, boxes, CONFIG, bent)
+    rng = np.random.default_rng(0)
+    models = list(boxes.values())
+    for _ in range(12):
+        sample = training.draw_target(rng)
+        expected = drawn_mask(sample, models[sample.object_index])
+        assert np.abs(sample.mask - expected).mean() < 0.02
+        # The object's colour (red or blue) stands where the mask is.
+        small = cv2.resize(sample.crop, (CONFIG.grid,) * 2, interpolation=cv2.INTER_AREA)
+        ours = small[..., 0 if sample.object_index == 0 else 2].astype(int) > 170
+        other = small[..., 2 if sample.object_index == 0 else 0].astype(int) < 100
+        assert ((ours & other) == (sample.mask > 0.5)).mean() > 0.97
+
+
+def test_directions_vote_for_the_keypoints_of_the_pose(training, boxes):
+    rng = np.random.default_rng(1)
+    samples = [training.draw_target(rng) for _ in range(6)]
+    tensors = stack_targets(samples)
+    mean, _, score = vote(
+        Features2D(10 * (2 * tensors["mask"] - 1), tensors["directions"], torch.zeros(()))
+    )
+    models = list(boxes.values())
+    for sample, found in zip(samples, mean.numpy(), strict=True):
+        model = models[sample.object_index]
+        pixels = project(transform(sample.T_cam_obj, model.keypoints), sample.K)
+        expected = pixels @ grid_matrix(4)[:2, :2].T + grid_matrix(4)[:2, 2]
+        assert np.abs(found - expected).max() < 0.1
+    assert (score > 0.95).all()
+
+
+def test_without_augmentation_the_crop_is_what_the_estimator_cuts(pack, boxes, dataset):
+    from two_view_pose.pose_estimator.bop import read_dataset, read_rgb
+    from two_view_pose.pose_estimator.crops import warp_crop
+    from two_view_pose.pose_estimator.geometry import crop_matrix
+
+    training = TrainingSet(pack, boxes, CONFIG, None)
+    image = read_dataset(dataset, "train_pbr").scene(0)[0]
+    T = image.annotations[0].T_cam_obj
+    side = CONFIG.roi_scale * boxes["brick"].diameter * image.K[0, 0] / T[2, 3]
+    to_crop = crop_matrix(project(T[:3, 3], image.K), side, CONFIG.crop)
+    expected = warp_crop(read_rgb(image), to_crop, CONFIG.crop)
+    sample = training.target(0, np.random.default_rng(0))
+    assert np.allclose(sample.K, to_crop @ image.K, atol=1e-6)
+    assert np.abs(sample.crop.astype(int) - expected).mean() < 3
+
+
+def test_pairs_show_one_object_from_two_cameras(training, boxes, pack):
+    rng = np.random.default_rng(2)
+    models = list(boxes.values())
+    seen = set()
+    for _ in range(10):
+        first, second, T_second_ref = training.draw_pair(rng)
+        assert first.object_index == second.object_index
+        seen.add(first.object_index)
+        model = models[first.object_index]
+        # The first view's pose, moved by T_second_ref, is a pose of the second (or equivalent).
+        moved = T_second_ref @ first.T_cam_obj
+        assert any(np.allclose(moved @ S, second.T_cam_obj, atol=1e-6) for S in model.symmetries)
+        assert not np.allclose(T_second_ref, np.eye(4), atol=1e-3)
+    assert seen == {0, 1}
+
+
+def test_the_pair_moves_as_the_cameras_did(training, pack):
+    group = training._pairs[0][0]
+    a, b = (pack.T_cam_world[pack.frame_index[target]] for target in group[:2])
+    from_cameras = b @ np.linalg.inv(a)
+    from_object = pack.T_cam_obj[group[1]] @ np.linalg.inv(pack.T_cam_obj[group[0]])
+    assert np.allclose(from_cameras, from_object, atol=1e-5)
+
+
+def test_symmetric_objects_get_the_canonical_pose(training, pack, boxes):
+    model = boxes["crate"]
+    for target in training.by_object[1]:
+        sample = training.target(int(target), np.random.default_rng(0))
+        assert np.allclose(
+            sample.T_cam_obj,
+            canonical_pose(sample.T_cam_obj @ model.symmetries[1], model.symmetries),
+        )
+
+
+def test_held_out_scenes_are_not_trained(pack, boxes):
+    train, held_out = (
+        TrainingSet(pack, boxes, CONFIG, validation=0.3, held_out=later) for later in (False, True)
+    )
+    scenes = [set(pack.scene_id[s.frames].tolist()) for s in (train, held_out)]
+    assert scenes == [{0, 1}, {2}]
+    assert not set(train.targets.tolist()) & set(held_out.targets.tolist())
+    assert len(train.targets) + len(held_out.targets) == len(pack.object_index)
+
+
+def test_batch_n_is_the_same_whatever_came_before(training):
+    def draw(start: int, number: int) -> list[TargetSample]:
+        source = batches(training.draw_target, 3, seed=5, start=start)
+        chosen = [next(source) for _ in range(number + 1)][-1]
+        source.close()  # type: ignore[attr-defined]
+        return chosen
+
+    for a, b in zip(draw(0, 4), draw(4, 0), strict=True):
+        assert a.object_index == b.object_index
+        assert np.array_equal(a.crop, b.crop) and np.array_equal(a.mask, b.mask)
+        assert np.array_equal(a.directions, b.directions) and np.array_equal(a.K, b.K)
+
+
+def test_frames_of_the_detector_have_their_targets_on_the_objects(training, boxes):
+    config = DetectorConfig()
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        picture, heat, regression, _weight = training.draw_frame(rng, config)
+        assert picture.shape == (240, 320, 3)
+        for index in range(2):
+            roi = decode(heat[index] * 20 - 10, regression[index], np.eye(3), config)
+            u, v = roi.centre.round().astype(int)
+            if roi.score < 0.9 or not (2 < u < 317 and 2 < v < 237):
+                continue
+            red, _, blue = cv2.blur(picture, (3, 3))[v, u].astype(int)
+            assert (red > blue + 40) if index == 0 else (blue > red + 40)
+            colours = picture.astype(int)
+            ours = colours[..., 2 * index] > 60 + colours[..., 2 - 2 * index]
+            # The border mirrors what it cuts: look at the region alone.
+            reach = int(roi.side / 2)
+            near = ours[max(v - reach, 0) : v + reach, max(u - reach, 0) : u + reach]
+            assert 0.3 < np.sqrt(near.sum()) / roi.side < 0.9
+
+
+def test_colours_are_drawn_from_the_generator_alone():
+    picture = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    before = picture.copy()
+    first, again, other = (
+        augment_colours(picture, AugmentationConfig(), np.random.default_rng(s)) for s in (1, 1, 2)
+    )
+    assert np.array_equal(first, again) and not np.array_equal(first, other)
+    assert np.array_equal(picture, before) and first.dtype == np.uint8

@@ -1,0 +1,146 @@
+"""The loop: killed and resumed is as never killed; it learns; it stops at nonsense."""
+
+import itertools
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+from torch import Tensor, nn
+from two_view_pose.pose_estimator import trainer
+from two_view_pose.pose_estimator.trainer import LoopConfig, learning_rate, read_step, run_stage
+
+
+class LineStage:
+    """Fits y = 2 x - 1 with a network that has a batch norm, as ours do."""
+
+    name = "line"
+
+    def __init__(self, steps: int = 60, fail_at: int | None = None):
+        torch.manual_seed(0)
+        self.module: nn.Module = nn.Sequential(
+            nn.Linear(1, 16), nn.BatchNorm1d(16), nn.ReLU(), nn.Linear(16, 1)
+        )
+        self.module[0].bias.requires_grad_(False)  # type: ignore[index]
+        self.steps = steps
+        self.learning_rate = 0.05
+        self.fail_at = fail_at
+        self.drawn: list[int] = []
+
+    def batches(self, start: int) -> Iterator[Tensor]:
+        number = start
+        while True:
+            self.drawn.append(number)
+            yield torch.rand(32, 1, generator=torch.Generator().manual_seed(number))
+            number += 1
+
+    def loss(self, batch: Tensor) -> tuple[Tensor, dict[str, float]]:
+        self.module.train()
+        if self.fail_at is not None and len(self.drawn) > self.fail_at:
+            raise KeyboardInterrupt
+        value = (self.module(batch) - 2 * batch + 1).square().mean()
+        return value, {"square": float(value.detach())}
+
+    def validate(self) -> dict[str, float]:
+        self.module.eval()
+        return {"always": 1.0}
+
+
+def silent(stage: str, step: int, numbers: dict) -> None:
+    pass
+
+
+def test_a_killed_run_continues_to_the_same_bits(tmp_path: Path):
+    whole = LineStage(20)
+    run_stage(whole, LoopConfig(tmp_path / "whole"), silent)
+
+    # Checkpoints after every step, killed in the middle of step 6.
+    out = tmp_path / "killed"
+    with pytest.raises(KeyboardInterrupt):
+        run_stage(LineStage(20, fail_at=6), LoopConfig(out, checkpoint_every=-1.0), silent)
+    assert read_step(out / "line.safetensors") == 6
+    resumed = LineStage(20)
+    run_stage(resumed, LoopConfig(out), silent)
+    assert resumed.drawn[0] == 6
+    for name, tensor in whole.module.state_dict().items():
+        assert torch.equal(tensor, resumed.module.state_dict()[name]), name
+    assert [path.name for path in out.iterdir()] == ["line.safetensors"]
+
+
+def test_a_finished_stage_is_restored_and_not_trained_again(tmp_path: Path):
+    first, again = LineStage(10), LineStage(10)
+    run_stage(first, LoopConfig(tmp_path), silent)
+    run_stage(again, LoopConfig(tmp_path), silent)
+    assert again.drawn == []
+    for a, b in zip(first.module.parameters(), again.module.parameters(), strict=True):
+        assert torch.equal(a, b)
+    anew = LineStage(10)
+    run_stage(anew, LoopConfig(tmp_path, resume=False), silent)
+    assert anew.drawn[0] == 0
+
+
+def test_it_learns_and_writes_what_it_does(tmp_path: Path):
+    entries: list[tuple[str, int, dict]] = []
+    stage = LineStage(300)
+    frozen = stage.module.state_dict()["0.bias"].clone()
+    run_stage(
+        stage, LoopConfig(tmp_path, validate_every=100),
+        lambda *entry: entries.append(entry),
+    )  # fmt: skip
+    train = [e[2]["train/square"] for e in entries if "train/square" in e[2]]
+    assert train[-1] < 0.02 and train[-1] < train[0]
+    assert [e[1] for e in entries if "held_out/always" in e[2]] == [100, 200, 300]
+    assert torch.equal(frozen, stage.module.state_dict()["0.bias"])
+
+
+def test_nonsense_stops_the_run_before_it_is_saved(tmp_path: Path):
+    stage = LineStage(50)
+    config = LoopConfig(tmp_path, checkpoint_every=-1.0)
+    good = stage.loss
+
+    def bad(batch: Tensor) -> tuple[Tensor, dict[str, float]]:
+        value, numbers = good(batch)
+        return (value * math.nan if len(stage.drawn) > 3 else value), numbers
+
+    stage.loss = bad  # type: ignore[method-assign]
+    with pytest.raises(FloatingPointError, match="line: the loss is nan at step 3"):
+        run_stage(stage, config, silent)
+    assert read_step(tmp_path / "line.safetensors") == 3
+    tensors = load_file(tmp_path / "line.safetensors")
+    assert all(torch.isfinite(t).all() for t in tensors.values())
+
+
+def test_a_checkpoint_that_cannot_be_finished_leaves_the_old_one(tmp_path: Path, monkeypatch):
+    run_stage(LineStage(5), LoopConfig(tmp_path), silent)
+    before = (tmp_path / "line.safetensors").read_bytes()
+
+    def broken(self: Path, target: Path) -> Path:
+        raise OSError("disk full")
+
+    monkeypatch.setattr(Path, "replace", broken)
+    with pytest.raises(OSError, match="disk full"):
+        run_stage(LineStage(10), LoopConfig(tmp_path), silent)
+    assert (tmp_path / "line.safetensors").read_bytes() == before
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_learning_rate_warms_up_and_falls_to_a_hundredth():
+    rates = [learning_rate(step, 1000, 0.01, 100) for step in range(1001)]
+    assert rates[0] == pytest.approx(0.0001) and rates[49] == pytest.approx(0.005)
+    assert max(rates) == pytest.approx(0.01) and rates.index(max(rates)) in (99, 100)
+    assert rates[550] == pytest.approx(0.01 * (0.01 + 0.99 / 2), rel=1e-3)
+    assert rates[1000] == pytest.approx(0.0001)
+    assert all(a >= b for a, b in itertools.pairwise(rates[100:]))
+
+
+def test_optimizer_state_survives(tmp_path: Path):
+    stage = LineStage(20)
+    run_stage(stage, LoopConfig(tmp_path), silent)
+    other = LineStage(20)
+    parameters = [p for p in other.module.parameters() if p.requires_grad]
+    optimizer = torch.optim.AdamW(parameters, 0.05)
+    assert trainer._resume(other, optimizer, tmp_path / "line.safetensors") == 20
+    states = optimizer.state_dict()["state"].values()
+    assert len(states) == len(parameters) and all(float(s["step"]) == 20 for s in states)
