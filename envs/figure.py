@@ -17,7 +17,8 @@ _PANEL = (480, 640)  # height, width
 _MARGIN, _GAP = 28, 24
 _TOP, _BOTTOM = 118, 66  # space above and below the panels
 _INSET = 172
-_INK, _GREY, _PAPER, _EMPTY = (28, 32, 38), (118, 124, 133), (255, 255, 255), (241, 243, 245)
+_INK, _GREY, _GOOD = (28, 32, 38), (118, 124, 133), (27, 138, 58)
+_PAPER, _EMPTY = (255, 255, 255), (241, 243, 245)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,9 +143,9 @@ def _score(
     measure = "ADD-S" if model.symmetric else "ADD"
     end = _text(draw, at, f"{measure}  {1e3 * add:.1f} mm", 24)
     share = add / model.diameter
-    verdict = "correct: below 10 %" if share < 0.1 else "correct would be below 10 %"
-    note = f"{100 * share:.1f} % of the diameter ({verdict})"
-    _text(draw, (end + 16, at[1]), note, 18, TRUE_COLOUR if share < 0.1 else _GREY)
+    verdict = "within" if share < 0.1 else "over"
+    note = f"{100 * share:.1f} % of the diameter, {verdict} the limit of 10 %"
+    _text(draw, (end + 16, at[1]), note, 18, _GOOD if share < 0.1 else _GREY)
 
 
 def _legend(draw: ImageDraw.ImageDraw, right: int, y: int, estimated: bool) -> None:
