@@ -70,10 +70,10 @@ def test_a_cell_of_the_grid_is_the_middle_of_its_pixels():
 
 def test_crop_directions_and_votes_return_the_projected_keypoints():
     rng = np.random.default_rng(3)
-    points = [*rng.uniform(-0.06, 0.06, (9, 3)), 0.05, -0.1, 0.9]
+    points = rng.uniform((-0.01, -0.16, 0.84), (0.11, -0.04, 0.96), (9, 3))
     pixels = project(points, LINEMOD_K)
     config = FeatureConfig()
-    to_crop = crop_matrix([*pixels.mean(0), 3.3, -2.7], 171.0, config.crop)
+    to_crop = crop_matrix(pixels.mean(0) + np.array([3.3, -2.7]), 171.0, config.crop)
     directions = direction_field(project(points, to_crop @ LINEMOD_K), config)
     weights = torch.ones(1, config.grid, config.grid)
     votes = vote_keypoints(torch.from_numpy(directions)[None], weights)

@@ -9,7 +9,7 @@ from two_view_pose.pose_estimator.symmetry import canonical_pose, keypoint_permu
 
 def random_pose(rng: np.random.Generator) -> np.ndarray:
     return make_transform(
-        Rotation.random(rng=rng).as_matrix(), [*rng.uniform(-0.2, 0.2, 3), 0, 0, 1]
+        Rotation.random(rng=rng).as_matrix(), rng.uniform((-0.2, -0.2, 0.8), (0.2, 0.2, 1.2))
     )
 
 
