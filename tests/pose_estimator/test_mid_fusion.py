@@ -1,0 +1,259 @@
+"""``single`` and ``mid`` with perfect, symmetric and senseless votes instead of a trained net."""
+
+import copy
+
+import numpy as np
+import pytest
+import torch
+from two_view_pose.pose_estimator.estimate import PoseEstimate, Roi
+from two_view_pose.pose_estimator.frontend import EncodedView, grid_matrix
+from two_view_pose.pose_estimator.geometry import (
+    LINEMOD_K,
+    View,
+    crop_matrix,
+    invert,
+    make_transform,
+    project,
+    transform,
+)
+from two_view_pose.pose_estimator.metrics import add_or_add_s
+from two_view_pose.pose_estimator.mid_fusion import MidFusionEstimator, expected_pixel
+from two_view_pose.pose_estimator.networks import PoseNetworks
+from two_view_pose.pose_estimator.single_view import SingleViewEstimator
+
+T_WORLD_OBJ = make_transform(
+    np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1.0]]), np.array([0.03, -0.02, 0.01])
+)
+
+
+def camera(degrees: float) -> np.ndarray:
+    """T_cam_world of a camera on a circle around the world's origin, looking down at it."""
+    azimuth, elevation = np.radians([degrees, 50.0])
+    flat = np.cos(elevation)
+    out = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+    right = np.cross(-out, (0, 0, 1)) / flat
+    return make_transform(np.stack([right, np.cross(-out, right), -out]), np.array([0, 0, 0.9]))
+
+
+def view(degrees: float) -> View:
+    return View(np.zeros((480, 640, 3), np.uint8), LINEMOD_K, camera(degrees))
+
+
+class PerfectVotes:
+    """Answers for the 2D part from the truth; ``twist`` maps a view's number to a symmetry."""
+
+    def __init__(self, networks: PoseNetworks, twist: tuple[int, ...] = (), noise: float = 0.0):
+        self.networks = networks
+        self.twist = twist
+        self.rng = np.random.default_rng(0)
+        self.noise = noise
+        self.calls = 0
+        self._bfloat16 = False
+
+    def encode(self, view, index, prior=None, roi=None) -> EncodedView:
+        model = list(self.networks.objects.values())[index]
+        symmetry = self.twist[self.calls] if self.twist else 0
+        self.calls += 1
+        T = view.T_cam_world @ T_WORLD_OBJ @ model.symmetries[symmetry]
+        config = self.networks.features.config
+        centre = project(T[:3, 3], view.K)
+        side = 1.4 * model.diameter * view.K[0, 0] / T[2, 3]
+        to_crop = crop_matrix(centre + np.array([4, -3]), side, config.crop)
+        to_grid = grid_matrix(config.stride) @ to_crop
+        votes = project(transform(T, model.keypoints), to_grid @ view.K)
+        return EncodedView(
+            view=view,
+            roi=Roi(centre, side, 0.9),
+            K_grid=to_grid @ view.K,
+            to_image=np.linalg.inv(to_grid),
+            volume=torch.zeros(config.volume_channels, config.grid, config.grid),
+            vote_mean=votes + self.rng.normal(0, 1, votes.shape) * self.noise,
+            vote_covariance=np.tile(np.eye(2) * max(self.noise, 0.2) ** 2, (9, 1, 1)),
+            vote_score=np.ones(9),
+            mask=np.ones((config.grid, config.grid)),
+        )
+
+
+class Garbage(PerfectVotes):
+    """Votes anywhere, with any confidence."""
+
+    def encode(self, view, index, prior=None, roi=None) -> EncodedView:
+        good = super().encode(view, index)
+        scale = 10.0 ** self.rng.uniform(-2, 5)
+        object.__setattr__(good, "vote_mean", self.rng.normal(16, scale, (9, 2)))
+        covariance = np.tile(np.eye(2) * 10.0 ** self.rng.uniform(-3, 5), (9, 1, 1))
+        object.__setattr__(good, "vote_covariance", covariance)
+        return good
+
+
+@pytest.fixture(scope="module")
+def trusting(networks: PoseNetworks) -> PoseNetworks:
+    """Networks whose volumes answer with what the votes say."""
+    networks = copy.deepcopy(networks)
+    for volume in (networks.volume.coarse, networks.volume.fine):
+        torch.nn.init.zeros_(volume.output.weight)
+    return networks
+
+
+def estimate(networks, frontend, views, name="brick", method=MidFusionEstimator) -> PoseEstimate:
+    estimator = method(networks)
+    estimator.frontend = frontend
+    return estimator.estimate(views, name)
+
+
+def error(found: PoseEstimate, networks: PoseNetworks, name: str, degrees: float) -> float:
+    """ADD(-S) in diameters."""
+    model = networks.objects[name]
+    return add_or_add_s(found.T_cam_obj, camera(degrees) @ T_WORLD_OBJ, model) / model.diameter
+
+
+def check_sound(found: PoseEstimate, views: int) -> None:
+    T = found.T_cam_obj
+    assert T.dtype == np.float64 and np.isfinite(T).all()
+    assert np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(T[:3, :3]) > 0 and np.array_equal(T[3], [0, 0, 0, 1])
+    assert found.keypoints.shape == (9, 3) and np.isfinite(found.keypoints).all()
+    assert found.keypoint_covariance.shape == (9, 3, 3)
+    assert np.isfinite(found.keypoint_covariance).all()
+    assert len(found.rois) == views
+
+
+@pytest.mark.parametrize("method", [SingleViewEstimator, MidFusionEstimator])
+def test_one_view_with_perfect_votes_gives_the_pose(trusting, method):
+    found = estimate(trusting, PerfectVotes(trusting), [view(20)], method=method)
+    check_sound(found, 1)
+    assert error(found, trusting, "brick", 20) < 1e-3
+
+
+@pytest.mark.parametrize("second", [65, 110, -25])
+def test_two_views_with_perfect_votes_give_the_pose(trusting, second):
+    found = estimate(trusting, PerfectVotes(trusting), [view(20), view(second)])
+    check_sound(found, 2)
+    assert error(found, trusting, "brick", 20) < 0.04
+    truth = transform(camera(20) @ T_WORLD_OBJ, trusting.objects["brick"].keypoints)
+    assert np.linalg.norm(found.keypoints - truth, axis=1).mean() < 0.005
+
+
+def test_a_third_view_is_used(trusting):
+    found = estimate(trusting, PerfectVotes(trusting), [view(20), view(60), view(-20)])
+    check_sound(found, 3)
+    assert error(found, trusting, "brick", 20) < 0.03
+
+
+@pytest.mark.parametrize("twist", [(0, 1), (1, 0), (1, 1), (0, 0)])
+def test_views_that_mean_equivalent_poses_are_reconciled(trusting, twist):
+    found = estimate(trusting, PerfectVotes(trusting, twist), [view(20), view(65)], "crate")
+    check_sound(found, 2)
+    # A voxel is 0.08 diameters wide.
+    assert error(found, trusting, "crate", 20) < 0.06
+    # It is the equivalent that the reference view meant.
+    meant = camera(20) @ T_WORLD_OBJ @ trusting.objects["crate"].symmetries[twist[0]]
+    assert np.allclose(found.T_cam_obj, meant, atol=0.12)
+
+
+def test_without_reconciling_the_pose_would_be_lost(trusting):
+    # The brick has no symmetry: the same confusion of the second view cannot be mended.
+    networks = copy.deepcopy(trusting)
+    model = copy.deepcopy(networks.objects["crate"])
+    turn = model.symmetries[1]
+    object.__setattr__(model, "symmetries", np.eye(4)[None])
+    networks.objects["crate"] = model
+    frontend = PerfectVotes(trusting, (0, 1))
+    assert np.allclose(trusting.objects["crate"].symmetries[1], turn)
+    found = estimate(networks, frontend, [view(20), view(65)], "crate")
+    check_sound(found, 2)
+    assert error(found, networks, "crate", 20) > 0.1
+
+
+def test_a_second_view_lowers_the_error_of_noisy_votes(trusting):
+    alone, fused = (
+        np.mean(
+            [
+                error(
+                    estimate(trusting, PerfectVotes(trusting, noise=0.8), [view(20), *more]),
+                    trusting, "brick", 20,
+                )
+                for more in views
+            ]
+        )
+        for views in ([()], [(view(80),)])
+    )  # fmt: skip
+    assert fused < alone
+
+
+def test_garbage_never_gives_nan(trusting):
+    frontend = Garbage(trusting)
+    for number in range(8):
+        views = [view(20), view(20 + 6 * number)][: 1 + (number % 3 > 0)]
+        found = estimate(trusting, frontend, views, ("brick", "crate")[number % 2])
+        check_sound(found, len(views))
+
+
+def test_untrained_networks_answer_noise_with_a_sound_pose(networks):
+    rng = np.random.default_rng(0)
+    views = [
+        View(rng.integers(0, 256, (480, 640, 3), dtype=np.uint8), LINEMOD_K, camera(20)),
+        View(np.zeros((360, 500, 3), np.uint8), LINEMOD_K, camera(50)),
+    ]
+    estimator = MidFusionEstimator(networks)
+    found = estimator.estimate(views, "crate")
+    check_sound(found, 2)
+    again = MidFusionEstimator(networks).estimate(views, "crate")
+    assert np.array_equal(found.T_cam_obj, again.T_cam_obj)
+
+
+def test_the_world_does_not_matter(trusting):
+    moved = make_transform(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]]), np.array([1.0, 2, 3]))
+    pair = [view(20), view(65)]
+    elsewhere = [View(v.image, v.K, v.T_cam_world @ invert(moved)) for v in pair]
+    estimator = MidFusionEstimator(trusting)
+    frontend = PerfectVotes(trusting)
+    encoded = [frontend.encode(v, 0) for v in pair]
+    first = estimator.from_one_view(encoded[0], "brick")
+    here = estimator.fuse(encoded, "brick", first)
+    for e, v in zip(encoded, elsewhere, strict=True):
+        object.__setattr__(e, "view", v)
+    there = estimator.fuse(encoded, "brick", first)
+    assert np.allclose(here.T_cam_obj, there.T_cam_obj, atol=1e-4)
+
+
+def test_the_second_view_is_told_where_to_look(trusting):
+    first = estimate(trusting, PerfectVotes(trusting), [view(20)])
+    pixel, sigma = expected_pixel(first, view(20), view(70))
+    expected = project((camera(70) @ T_WORLD_OBJ)[:3, 3], LINEMOD_K)
+    assert np.abs(pixel - expected).max() < 1 and 10 < sigma < 200
+    behind = View(np.zeros((8, 8, 3), np.uint8), LINEMOD_K, make_transform(np.eye(3), [0, 0, -5.0]))
+    pixel, sigma = expected_pixel(first, view(20), behind)
+    assert np.isfinite(pixel).all() and np.isfinite(sigma)
+
+
+@pytest.mark.parametrize("method", [SingleViewEstimator, MidFusionEstimator])
+def test_unknown_objects_and_no_views_are_refused(networks, method):
+    with pytest.raises(ValueError, match="do not know the object 'teapot'; they know brick, crate"):
+        method(networks).estimate([view(0)], "teapot")
+    with pytest.raises(ValueError, match="at least one view"):
+        method(networks).estimate([], "brick")
+
+
+GOOD = {"image": np.zeros((4, 4, 3), np.uint8), "K": LINEMOD_K, "T_cam_world": np.eye(4)}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"K": np.eye(4)}, "K must be a 3x3"),
+        ({"K": LINEMOD_K * np.nan}, "K has NaN"),
+        ({"K": -LINEMOD_K}, "positive focal"),
+        ({"image": np.zeros((4, 4, 3))}, "image must be uint8"),
+        ({"image": np.zeros((4, 4), np.uint8)}, "image must be uint8"),
+        ({"image": np.zeros((4, 4, 4), np.uint8)}, "image must be uint8"),
+        ({"image": np.zeros((0, 4, 3), np.uint8)}, "image"),
+        ({"T_cam_world": np.diag([2.0, 2, 2, 1])}, "T_cam_world is not rigid"),
+        ({"T_cam_world": np.diag([1.0, 1, -1, 1])}, "T_cam_world is not rigid"),
+        ({"T_cam_world": np.eye(3)}, "T_cam_world must be a 4x4"),
+        ({"T_cam_world": np.full((4, 4), np.nan)}, "T_cam_world has NaN"),
+    ],
+)
+def test_wrong_views_are_refused_by_name(changes, message):
+    with pytest.raises(ValueError, match=message):
+        View(**(GOOD | changes))
