@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -55,7 +55,10 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
     (``camera_pose``).
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 1}
+    metadata: dict[str, Any] = {  # noqa: RUF012 (declared so by Gymnasium)
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 1,
+    }
 
     def __init__(
         self,
@@ -94,7 +97,8 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         self._renderer = SceneRenderer(self._scene, *resolution)
         self._window = Window("Two-View Pose")
         self._episode: Episode | None = None
-        self.observation_space: spaces.Dict = observation_space(len(self._names), image_size)
+        self._fields = observation_space(len(self._names), image_size)
+        self.observation_space: spaces.Space[Any] = self._fields
         self.action_space: spaces.Space[Any] = self.make_action_space()
 
     @abstractmethod
@@ -262,7 +266,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
     def _observation(self) -> Observation:
         episode = self._running()
         return make_observation(
-            self.observation_space,
+            self._fields,
             episode.estimates[-1] if episode.estimates else None,
             episode.views[0].image,
             SpherePosition.of(episode.cameras[-1], self.sphere_centre),

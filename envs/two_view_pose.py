@@ -228,7 +228,8 @@ class TwoViewPoseDiscreteEnv(ViewSelectionEnv):
         count = len(self._candidates)
         if isinstance(action, np.ndarray) and action.ndim == 0:
             action = action.item()
-        if isinstance(action, bool) or not isinstance(action, Integral) or not 0 <= action < count:
+        whole = isinstance(action, Integral) and not isinstance(action, bool)
+        if not whole or not 0 <= int(action) < count:
             raise ValueError(f"action must be an integer from 0 to {count - 1}, got {action!r}")
         azimuth, elevation = self._candidates[int(action)]
         reference = self.reference_position
