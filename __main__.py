@@ -13,8 +13,6 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NamedTuple
 
-from .envs.gl import GraphicsUnavailable
-
 PROGRAM = "two_view_pose"
 
 
@@ -148,7 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     try:
         return run(given)
-    except (ValueError, OSError, GraphicsUnavailable) as error:
+    except (ValueError, OSError) as error:
         if debug:
             raise
         print(f"error: {message(error)}", file=sys.stderr)

@@ -14,11 +14,11 @@ from time import perf_counter
 import numpy as np
 
 from ..pose_estimator.results import versions, write_results
-from .gl import INSTALL_HINT
 
 _RENDER_ONE_FRAME = """
-import mujoco, numpy
+import numpy
 from two_view_pose.envs import gl
+import mujoco
 context = gl.open_context(32, 32)
 model = mujoco.MjModel.from_xml_string(
     "<mujoco><worldbody><light pos='0 0 2'/><geom size='.1'/>"
@@ -78,9 +78,9 @@ def check_opengl() -> Check:
     if process.returncode == 0:
         return Check("OpenGL", True, f"{process.stdout.strip()} renders")
     lines = [line for line in process.stderr.splitlines() if line.strip()]
-    reason = lines[-1].strip() if lines else f"the renderer ended with code {process.returncode}"
-    if INSTALL_HINT not in reason:
-        reason = f"{reason}. To install it: {INSTALL_HINT}"
+    if not lines:
+        return Check("OpenGL", False, f"the renderer ended with code {process.returncode}")
+    reason = lines[-1].strip().removeprefix("two_view_pose.envs.gl.GraphicsUnavailable: ")
     return Check("OpenGL", False, reason)
 
 

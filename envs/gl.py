@@ -19,7 +19,7 @@ _backend: str | None = None
 _process: int | None = None
 
 
-class GraphicsUnavailable(RuntimeError):
+class GraphicsUnavailable(OSError):
     """No OpenGL library that draws without a screen was found; the message says what to install."""
 
 

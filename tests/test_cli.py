@@ -11,17 +11,19 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from two_view_pose import pose_estimator
 from two_view_pose.__main__ import VERBS, main
-from two_view_pose.assets import load_object
+from two_view_pose.assets import OBJECT_NAMES, load_object
+from two_view_pose.envs import protocol
 from two_view_pose.pose_estimator.geometry import LINEMOD_K
 
 OPTIONS = {
     "demo": "seed object scene policy out json",
     "generate": "out scenes objects scene seed workers",
     "train-estimator": "out seed",
-    "evaluate": "method weights scene scenes seed data pairs roi json",
+    "evaluate": "method weights scene scenes seed data pairs json",
     "estimate": "reference second K relative-pose object method weights out overlay json",
     "train-agent": "algo steps out env scene seed json",
     "evaluate-agent": "policy scene episodes seed json",
+    "bench": "repeats weights seed json",
     "doctor": "quick json",
 }
 
@@ -222,7 +224,41 @@ def test_doctor_finds_what_renders(tmp_path, capsys):
     assert record["check"] == "OpenGL" and record["value"] == 1
 
 
-def test_doctor_says_what_to_install(monkeypatch, capsys):
+def test_doctor_says_what_to_do(monkeypatch, capsys):
     monkeypatch.setenv("MUJOCO_GL", "off")
     assert main(["doctor", "--quick"]) == 1
-    assert "apt-get install" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "FAILS  OpenGL: MUJOCO_GL=off switches rendering off; unset it" in printed
+
+
+class Improving(KnownPose):
+    """A pose that lies 40 mm deeper when it is from one view than when it is from two."""
+
+    object_names = OBJECT_NAMES
+
+    def estimate(self, views, object_name):
+        answer = super().estimate(views, object_name)
+        answer.T_cam_obj = self.T_cam_obj.copy()
+        answer.T_cam_obj[2, 3] += 0.04 if len(views) == 1 else 0.0
+        return answer
+
+
+def test_demo_writes_a_picture_and_the_errors(tmp_path, monkeypatch, capsys):
+    T_cam_obj = np.eye(4)
+    T_cam_obj[:3, 3] = 0.0, 0.0, 0.4  # nearer than any object is
+    monkeypatch.setattr(protocol, "_load", lambda method: Improving(T_cam_obj))
+    picture, results = tmp_path / "demo.png", tmp_path / "demo.json"
+    frames = []
+    for _ in range(2):
+        command = f"demo --object can --seed 3 --out {picture} --json {results}"
+        assert main(command.split()) == 0
+        frames.append(picture.read_bytes())
+    assert frames[0] == frames[1]
+    assert Image.open(picture).width >= 1280
+
+    records = json.loads(results.read_text())["records"]
+    ratios = [r["value"] for r in records if r["metric"] == "add_over_diameter"]
+    # The first pose lies 40 mm deeper, that is nearer to the object.
+    assert 0.01 < (ratios[1] - ratios[0]) * load_object("can").diameter <= 0.04
+    printed = capsys.readouterr().out
+    assert f"{100 * ratios[0]:.1f} %" in printed and f"{100 * ratios[1]:.1f} %" in printed
