@@ -181,20 +181,24 @@ class TrainingSet:
         picture = pack.frame(frame)
         low, high = np.searchsorted(pack.frame_index, [frame, frame + 1])
         to_small = np.linalg.inv(pack.frame_to_image[frame])
-        flip_free = np.eye(3)
+        moved = np.eye(3)
         if self.augmentation is not None:
             scale = np.exp(rng.uniform(-0.15, 0.15))
             angle = rng.uniform(-0.15, 0.15)
             middle = np.array([(config.width - 1) / 2, (config.height - 1) / 2])
             shift = rng.uniform(-0.06, 0.06, 2) * (config.width, config.height)
             cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
-            flip_free[:2, :2] = [[cosine, -sine], [sine, cosine]]
-            flip_free[:2, 2] = middle + shift - flip_free[:2, :2] @ middle
+            moved[:2, :2] = [[cosine, -sine], [sine, cosine]]
+            moved[:2, 2] = middle + shift - moved[:2, :2] @ middle
             picture = cv2.warpAffine(
-                picture, flip_free[:2], (config.width, config.height), borderMode=cv2.BORDER_REFLECT
+                picture,
+                moved[:2],
+                (config.width, config.height),
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=(127, 127, 127),
             )
             picture = augment_colours(picture, self.augmentation, rng)
-        K = flip_free @ to_small @ pack.K[frame]
+        K = moved @ to_small @ pack.K[frame]
         count = len(self.models)
         centres, sides = np.zeros((count, 2)), np.ones(count)
         present = np.zeros(count, bool)

@@ -16,7 +16,7 @@ from .symmetry import keypoint_permutations
 from .triangulation import triangulate
 from .volume import ViewMaps
 
-SOLVER_INLIER = 0.1
+SOLVER_INLIER = 0.2
 """Distance in diameters at which a keypoint counts half in Soft RANSAC."""
 
 SOLVER_SHARPNESS = 4.0

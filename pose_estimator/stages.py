@@ -71,7 +71,10 @@ class DetectorStage(_StageBase):
             logits, predicted = self.module(frames.permute(0, 3, 1, 2).float())
         heat_part = heat_map_loss(logits.float(), heat)
         box_part = box_loss(predicted.float(), regression, weight)
-        return heat_part + box_part, {"heat": float(heat_part), "box": float(box_part)}
+        return heat_part + box_part, {
+            "heat": float(heat_part.detach()),
+            "box": float(box_part.detach()),
+        }
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
@@ -122,7 +125,10 @@ class FeatureStage(_StageBase):
             out.directions.float(), tensors["directions"], (tensors["mask"] > 0.4).float()
         )
         total = mask_part + 2 * direction_part
-        return total, {"mask": float(mask_part), "direction": float(direction_part)}
+        return total, {
+            "mask": float(mask_part.detach()),
+            "direction": float(direction_part.detach()),
+        }
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
@@ -247,12 +253,15 @@ class VolumeStage(_StageBase):
             )
             distance = keypoint_loss(level.keypoints, out["truth"], out["diameter"])
             total = total + 0.2 * distribution + 4.0 * distance
-            numbers |= {f"{name}_kl": float(distribution), f"{name}_distance": float(distance)}
+            numbers |= {
+                f"{name}_kl": float(distribution.detach()),
+                f"{name}_distance": float(distance.detach()),
+            }
         solution = out["solution"]
         pose = pose_loss(
             solution.rotation, solution.translation, out["T_true"], out["diameter"], alpha=0.3
         )
-        numbers["pose"] = float(pose)
+        numbers["pose"] = float(pose.detach())
         return total + pose, numbers
 
     @torch.no_grad()

@@ -151,8 +151,9 @@ def keep_freed_memory() -> None:
 
 def _save(stage: Stage, optimizer: torch.optim.Optimizer, path: Path, step: int) -> None:
     tensors = {f"model.{n}": t.contiguous() for n, t in stage.module.state_dict().items()}
+    names = _trainable(stage)
     for number, state in optimizer.state_dict()["state"].items():
-        tensors |= {f"optimizer.{number}.{n}": t.contiguous() for n, t in state.items()}
+        tensors |= {f"optimizer.{names[number]}.{n}": t.contiguous() for n, t in state.items()}
     write_atomically(path, save(tensors, {"step": str(step), "steps": str(stage.steps)}))
 
 
@@ -164,15 +165,22 @@ def _resume(stage: Stage, optimizer: torch.optim.Optimizer, path: Path) -> int:
     stage.module.load_state_dict(
         {n.removeprefix("model."): t for n, t in tensors.items() if n.startswith("model.")}
     )
+    numbers = {name: number for number, name in enumerate(_trainable(stage))}
     state: dict[int, dict[str, Tensor]] = {}
     for name, tensor in tensors.items():
-        if name.startswith("optimizer."):
-            _, number, key = name.split(".")
-            state.setdefault(int(number), {})[key] = tensor
+        parameter, key = name.removeprefix("optimizer.").rsplit(".", 1)
+        # A parameter that was trained before and is frozen now needs no state.
+        if name.startswith("optimizer.") and parameter in numbers:
+            state.setdefault(numbers[parameter], {})[key] = tensor
     full = optimizer.state_dict()
     full["state"] = state
     optimizer.load_state_dict(full)
     return read_step(path)
+
+
+def _trainable(stage: Stage) -> list[str]:
+    """Names of the optimised parameters, in the optimizer's order."""
+    return [name for name, p in stage.module.named_parameters() if p.requires_grad]
 
 
 def read_step(path: Path) -> int:

@@ -34,6 +34,9 @@ class TrainEstimatorConfig:
     """Batches of 32 crops."""
     volume_steps: int = 2500
     """Batches of 12 pairs of crops."""
+    frozen_stages: int = 2
+    """How many stages of the pretrained encoders stay as they are: fewer learn more, more are
+    quicker. It may change when a run is resumed."""
     learning_rate: float = 1.0
     """Multiplies every stage's learning rate."""
     preset: str = "fast"
@@ -61,8 +64,6 @@ _STAGES = {
     "features": {"batch": 32, "learning_rate": 1e-3},
     "volume": {"batch": 12, "learning_rate": 2e-3},
 }
-_FROZEN_STAGES = 2
-"""How many stages of the pretrained encoder stay as ImageNet left them."""
 
 
 def train_estimator(config: TrainEstimatorConfig) -> Path:
@@ -100,8 +101,9 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
     elif config.pretrained:
         networks.detector.encoder.load_pretrained()
         networks.features.encoder.load_pretrained()
-    networks.detector.encoder.freeze(_FROZEN_STAGES)
-    networks.features.encoder.freeze(_FROZEN_STAGES)
+    if config.pretrained or config.init is not None:
+        networks.detector.encoder.freeze(config.frozen_stages)
+        networks.features.encoder.freeze(config.frozen_stages)
 
     pack = pack_dataset(config.data, objects, split=config.split)
     train, held_out = (
