@@ -89,7 +89,8 @@ def rigid(T: np.ndarray, places: Sequence[str]) -> np.ndarray:
     """
     rotations = T[:, :3, :3]
     errors = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
-    for i in np.flatnonzero((errors > ROTATION_TOLERANCE) | (np.linalg.det(rotations) < 0)):
+    wrong = (errors > ROTATION_TOLERANCE) | (np.linalg.det(rotations) < 0)
+    for i in np.flatnonzero(wrong).tolist():
         check_rigid(T[i], places[i], ROTATION_TOLERANCE)
     rounded = errors > 1e-12
     U, _, Vt = np.linalg.svd(rotations[rounded])

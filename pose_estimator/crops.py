@@ -72,19 +72,24 @@ class CropPack:
     def crop(self, target: int) -> np.ndarray:
         """The stored crop of a target, RGB uint8 (192, 192, 3)."""
         begin, end = self.spans[target, :2]
-        bgr = cv2.imdecode(self.crops[begin:end], cv2.IMREAD_COLOR)
-        return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+        return _decode(self.crops[begin:end], cv2.IMREAD_COLOR_RGB)
 
     def mask(self, target: int) -> np.ndarray:
         """The stored visible mask of a target, uint8 0 or 255 (192, 192)."""
         begin, end = self.spans[target, 2:]
-        return cv2.imdecode(self.crops[begin:end], cv2.IMREAD_GRAYSCALE)
+        return _decode(self.crops[begin:end], cv2.IMREAD_GRAYSCALE)
 
     def frame(self, index: int) -> np.ndarray:
         """A frame at the detector's size, RGB uint8 (240, 320, 3)."""
         begin, end = self.frame_spans[index]
-        bgr = cv2.imdecode(self.frames[begin:end], cv2.IMREAD_COLOR)
-        return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+        return _decode(self.frames[begin:end], cv2.IMREAD_COLOR_RGB)
+
+
+def _decode(data: np.ndarray, flags: int) -> np.ndarray:
+    picture = cv2.imdecode(data, flags)
+    if picture is None:
+        raise ValueError("the packed crops are damaged: delete their folder to pack them anew")
+    return picture
 
 
 def pack_dataset(
@@ -194,7 +199,8 @@ def _pack(
     if "spans" not in rows:
         raise ValueError(f"{root} ({split}) shows none of the objects {', '.join(objects)}")
     temporary = folder / "index.tmp.npz"
-    np.savez(temporary, **{name: np.asarray(values) for name, values in rows.items()})
+    columns: dict[str, Any] = {name: np.asarray(values) for name, values in rows.items()}
+    np.savez(temporary, **columns)
     os.replace(temporary, folder / "index.npz")
 
 

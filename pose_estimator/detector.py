@@ -58,6 +58,7 @@ class Detector(nn.Module):
         self.context = nn.Sequential(ConvBlock(width, width), ConvBlock(width, width))
         self.merge = ConvBlock(width + c8, width)
         self.head = nn.Conv2d(width, 4 * objects, 1)
+        assert self.head.bias is not None
         with torch.no_grad():
             self.head.bias.zero_()
             self.head.bias[:objects] = -4.0

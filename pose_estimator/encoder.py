@@ -134,6 +134,7 @@ class Encoder(nn.Module):
         for stage in self.stages:
             assert isinstance(stage, nn.Sequential)
             for block in stage:
+                assert isinstance(block, InvertedResidual)
                 prefix = f"_blocks.{number}."
                 if block.expand is not None:
                     _fold(block.expand, state, prefix + "_expand_conv", prefix + "_bn0")

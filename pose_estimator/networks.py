@@ -51,9 +51,9 @@ class PoseNetworks(nn.Module):
         self.detector = Detector(len(objects), config.detector)
         self.features = KeypointNet(len(objects), config.features)
         self.volume = VolumeNet(config.features.volume_channels, PRESETS[config.preset])
-        self.detector.to(memory_format=torch.channels_last)
-        self.features.to(memory_format=torch.channels_last)
-        self.volume.to(memory_format=torch.channels_last_3d)
+        self.detector.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.features.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.volume.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
 
 
 def has_fast_bfloat16() -> bool:

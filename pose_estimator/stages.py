@@ -62,7 +62,7 @@ class DetectorStage(_StageBase):
         config = self.networks.detector.config
         return batches(lambda rng: self.train.draw_frame(rng, config), self.batch, self.seed, start)
 
-    def loss(self, batch: list[_Frame]) -> tuple[Tensor, dict[str, float]]:
+    def loss(self, batch: list[_Frame]) -> tuple[Tensor, dict[str, Tensor]]:
         self.module.train()
         frames, heat, regression, weight = (
             torch.from_numpy(np.stack(part)) for part in zip(*batch, strict=True)
@@ -72,8 +72,8 @@ class DetectorStage(_StageBase):
         heat_part = heat_map_loss(logits.float(), heat)
         box_part = box_loss(predicted.float(), regression, weight)
         return heat_part + box_part, {
-            "heat": float(heat_part.detach()),
-            "box": float(box_part.detach()),
+            "heat": heat_part,
+            "box": box_part,
         }
 
     @torch.no_grad()
@@ -115,7 +115,7 @@ class FeatureStage(_StageBase):
     def batches(self, start: int) -> Iterator[list[TargetSample]]:
         return batches(self.train.draw_target, self.batch, self.seed, start)
 
-    def loss(self, batch: list[TargetSample]) -> tuple[Tensor, dict[str, float]]:
+    def loss(self, batch: list[TargetSample]) -> tuple[Tensor, dict[str, Tensor]]:
         self.module.train()
         tensors = stack_targets(batch)
         with self.autocast():
@@ -126,8 +126,8 @@ class FeatureStage(_StageBase):
         )
         total = mask_part + 2 * direction_part
         return total, {
-            "mask": float(mask_part.detach()),
-            "direction": float(direction_part.detach()),
+            "mask": mask_part,
+            "direction": direction_part,
         }
 
     @torch.no_grad()
@@ -239,14 +239,14 @@ class VolumeStage(_StageBase):
                 mean[sample, view] = mean[sample, view, best].clone()
                 covariance[sample, view] = covariance[sample, view, best].clone()
 
-    def loss(self, batch: list[_Pair]) -> tuple[Tensor, dict[str, float]]:
+    def loss(self, batch: list[_Pair]) -> tuple[Tensor, dict[str, Tensor]]:
         self.networks.volume.train()
         rng = np.random.default_rng(
             [self.seed, *np.round(batch[0][2][:3, 3] * 1e6).astype(int) % 2**31]
         )
         out = self.forward(batch, rng)
         total = torch.zeros(())
-        numbers: dict[str, float] = {}
+        numbers: dict[str, Tensor] = {}
         for level, name in zip(out["levels"], ("coarse", "fine"), strict=True):
             distribution = distribution_loss(
                 level.log_probability, level.cells, out["truth"], level.cell_size
@@ -254,14 +254,14 @@ class VolumeStage(_StageBase):
             distance = keypoint_loss(level.keypoints, out["truth"], out["diameter"])
             total = total + 0.2 * distribution + 4.0 * distance
             numbers |= {
-                f"{name}_kl": float(distribution.detach()),
-                f"{name}_distance": float(distance.detach()),
+                f"{name}_kl": distribution,
+                f"{name}_distance": distance,
             }
         solution = out["solution"]
         pose = pose_loss(
             solution.rotation, solution.translation, out["T_true"], out["diameter"], alpha=0.3
         )
-        numbers["pose"] = float(pose.detach())
+        numbers["pose"] = pose
         return total + pose, numbers
 
     @torch.no_grad()

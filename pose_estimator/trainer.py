@@ -41,8 +41,8 @@ class Stage(Protocol):
         """Endless batches from number ``start`` on."""
         ...
 
-    def loss(self, batch: Any) -> tuple[Tensor, dict[str, float]]:
-        """The loss of a batch, and numbers for the log."""
+    def loss(self, batch: Any) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss of a batch, and its parts for the log."""
         ...
 
     def validate(self) -> dict[str, float]:
@@ -107,18 +107,19 @@ def run_stage(stage: Stage, config: LoopConfig, log: Callable[[str, int, dict], 
                     stage.learning_rate,
                     min(config.warm_up, stage.steps // 5 + 1),
                 )
-            loss, numbers = stage.loss(next(source))
+            loss, parts = stage.loss(next(source))
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
             norm = nn.utils.clip_grad_norm_(parameters, 5.0)
             if not torch.isfinite(norm):
                 raise FloatingPointError(
-                    f"{stage.name}: the loss is {float(loss)} at step {step}; resume with a lower "
-                    "--learning-rate"
+                    f"{stage.name}: the loss is {float(loss.detach())} at step {step}; "
+                    "resume with a lower --learning-rate"
                 )
             optimizer.step()
             step += 1
-            for name, value in numbers.items():
+            for name, part in parts.items():
+                value = float(part.detach())
                 means[name] = 0.98 * means.get(name, value) + 0.02 * value
             bar.update(1)
             if step % 20 == 0:

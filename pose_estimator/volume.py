@@ -142,6 +142,7 @@ class Volume(nn.Module):
         self.output = nn.Conv3d(config.hidden, KEYPOINTS, 3, padding=1)
         if config.evidence:
             nn.init.normal_(self.output.weight, std=0.01)
+            assert self.output.bias is not None
             nn.init.zeros_(self.output.bias)
 
     def forward(

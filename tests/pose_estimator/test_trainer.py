@@ -36,12 +36,12 @@ class LineStage:
             yield torch.rand(32, 1, generator=torch.Generator().manual_seed(number))
             number += 1
 
-    def loss(self, batch: Tensor) -> tuple[Tensor, dict[str, float]]:
+    def loss(self, batch: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         self.module.train()
         if self.fail_at is not None and len(self.drawn) > self.fail_at:
             raise KeyboardInterrupt
         value = (self.module(batch) - 2 * batch + 1).square().mean()
-        return value, {"square": float(value.detach())}
+        return value, {"square": value}
 
     def validate(self) -> dict[str, float]:
         self.module.eval()
@@ -100,7 +100,7 @@ def test_nonsense_stops_the_run_before_it_is_saved(tmp_path: Path):
     config = LoopConfig(tmp_path, checkpoint_every=-1.0)
     good = stage.loss
 
-    def bad(batch: Tensor) -> tuple[Tensor, dict[str, float]]:
+    def bad(batch: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         value, numbers = good(batch)
         return (value * math.nan if len(stage.drawn) > 3 else value), numbers
 
