@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import cv2
 import numpy as np
@@ -97,10 +98,11 @@ def make_observation(
         reference_azimuth: azimuth of the reference camera, radians.
         object_index: which object is the target.
     """
-    one_hot = np.zeros(space["object"].shape)
+    boxes = cast(dict[str, spaces.Box], space.spaces)
+    one_hot = np.zeros_like(boxes["object"].low)
     one_hot[object_index] = 1.0
     azimuth = camera.azimuth - reference_azimuth
-    values = {
+    values: dict[str, np.ndarray] = {
         "rotation": np.zeros(6),
         "translation": np.zeros(3),
         "uncertainty": np.zeros(KEYPOINTS),
@@ -119,12 +121,12 @@ def make_observation(
         values["rotation"] = rotation_to_6d(estimate.T_cam_obj[:3, :3])
         values["translation"] = estimate.T_cam_obj[:3, 3]
         values["uncertainty"] = _log_uncertainty(estimate.keypoint_covariance)
-        values["score"] = np.array([estimate.rois[0].score if estimate.rois else 0.0])
+        values["score"] = np.nan_to_num([estimate.rois[0].score if estimate.rois else 0.0])
     observation = {
-        key: np.clip(value, space[key].low, space[key].high).astype(np.float32)
+        key: np.clip(value, boxes[key].low, boxes[key].high).astype(np.float32)
         for key, value in values.items()
     }
-    observation["image"] = _crop(reference_image, estimate, space["image"].shape[0])
+    observation["image"] = _crop(reference_image, estimate, len(boxes["image"].low))
     return observation
 
 

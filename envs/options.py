@@ -91,7 +91,8 @@ def _parse_camera(camera: Any, allowed: CameraRange) -> np.ndarray:
     }
     for key, (low, high, unit) in bounds.items():
         value = camera[key]
-        if isinstance(value, bool) or not isinstance(value, Real) or not low <= value <= high:
+        number = isinstance(value, Real) and not isinstance(value, bool)
+        if not number or not low <= float(value) <= high:
             raise ValueError(
                 f"option reference_camera[{key!r}] must be a number within "
                 f"{low:.4g} to {high:.4g} {unit}, got {value!r}"
