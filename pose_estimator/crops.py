@@ -14,6 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -72,7 +73,8 @@ class CropPack:
     def crop(self, target: int) -> np.ndarray:
         """The stored crop of a target, RGB uint8 (192, 192, 3)."""
         begin, end = self.spans[target, :2]
-        return _decode(self.crops[begin:end], cv2.IMREAD_COLOR_RGB)
+        bgr = _decode(self.crops[begin:end], cv2.IMREAD_COLOR)
+        return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
     def mask(self, target: int) -> np.ndarray:
         """The stored visible mask of a target, uint8 0 or 255 (192, 192)."""
@@ -82,7 +84,8 @@ class CropPack:
     def frame(self, index: int) -> np.ndarray:
         """A frame at the detector's size, RGB uint8 (240, 320, 3)."""
         begin, end = self.frame_spans[index]
-        return _decode(self.frames[begin:end], cv2.IMREAD_COLOR_RGB)
+        bgr = _decode(self.frames[begin:end], cv2.IMREAD_COLOR)
+        return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
 
 def _decode(data: np.ndarray, flags: int) -> np.ndarray:
