@@ -131,7 +131,11 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
     loop = LoopConfig(
         out=config.out, checkpoint_every=config.checkpoint_every, resume=config.resume
     )
-    classes = {"detector": DetectorStage, "features": FeatureStage, "volume": VolumeStage}
+    classes: dict[str, type[DetectorStage | FeatureStage | VolumeStage]] = {
+        "detector": DetectorStage,
+        "features": FeatureStage,
+        "volume": VolumeStage,
+    }
     steps = {
         "detector": config.detector_steps,
         "features": config.feature_steps,
