@@ -33,9 +33,13 @@ class Stage(Protocol):
     """
 
     name: str
-    module: nn.Module
     steps: int
     learning_rate: float
+
+    @property
+    def module(self) -> nn.Module:
+        """What is trained."""
+        ...
 
     def batches(self, start: int) -> Iterator[Any]:
         """Endless batches from number ``start`` on."""
