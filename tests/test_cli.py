@@ -1,16 +1,20 @@
 """The command line: help, options, error messages, and the verbs `estimate` and `doctor`."""
 
 import json
+import re
+import shlex
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import tyro
 from PIL import Image
 from scipy.spatial.transform import Rotation
 from two_view_pose import pose_estimator
-from two_view_pose.__main__ import VERBS, main
+from two_view_pose.__main__ import VERBS, find, main
 from two_view_pose.assets import OBJECT_NAMES, load_object
 from two_view_pose.envs import protocol
 from two_view_pose.pose_estimator.geometry import LINEMOD_K
@@ -44,6 +48,15 @@ def test_help_names_the_options(verb, capsys):
     assert stop.value.code == 0
     words = set(capsys.readouterr().out.replace(",", " ").split())
     assert {f"--{option}" for option in OPTIONS[verb].split()} <= words
+
+
+def test_commands_in_the_readme_are_understood():
+    text = (Path(__file__).parents[1] / "README.md").read_text().replace("\\\n", " ")
+    commands = re.findall(r"^python -m two_view_pose (.+)$", text, flags=re.MULTILINE)
+    assert len(commands) > 5
+    for line in commands:
+        verb, *options = shlex.split(line, comments=True)
+        tyro.cli(find(VERBS[verb].config), args=options)
 
 
 def test_help_is_quick_to_come():
