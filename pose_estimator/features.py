@@ -71,6 +71,40 @@ class ConvBlock(nn.Sequential):
         )
 
 
+class CoordinateConv(nn.Module):
+    """A 1x1 convolution of the pixels' coordinates, to be added to a feature map.
+
+    Liu et al., "An intriguing failing of convolutional neural networks and the CoordConv solution",
+    NeurIPS 2018: a vector towards a keypoint depends on where the pixel is, which convolutions do
+    not see.
+    """
+
+    def __init__(self, outputs: int):
+        super().__init__()
+        self.project = nn.Conv2d(2, outputs, 1, bias=False)
+        nn.init.zeros_(self.project.weight)
+
+    def forward(self, x: Tensor) -> Tensor:
+        height, width = x.shape[2:]
+        rows, columns = torch.linspace(-1, 1, height), torch.linspace(-1, 1, width)
+        grid = torch.stack(torch.meshgrid(columns, rows, indexing="xy"))
+        return x + self.project(grid[None]).to(x.dtype)
+
+
+class Refinement(nn.Module):
+    """A residual block that starts as the identity."""
+
+    def __init__(self, channels: int):
+        super().__init__()
+        self.block = ConvBlock(channels, channels)
+        self.output = nn.Conv2d(channels, channels, 1)
+        nn.init.zeros_(self.output.weight)
+        nn.init.zeros_(self.output.bias)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x + self.output(self.block(x))
+
+
 class KeypointNet(nn.Module):
     """The shared 2D network.
 
@@ -96,6 +130,10 @@ class KeypointNet(nn.Module):
             nn.init.zeros_(film.weight)
             nn.init.zeros_(film.bias)
         self.trunk = ConvBlock(width, width)
+        self.coordinates8 = CoordinateConv(96)
+        self.coordinates4 = CoordinateConv(width)
+        self.refine8 = Refinement(96)
+        self.refine4 = Refinement(width)
         self.volume_head = nn.Conv2d(width, config.volume_channels, 1)
         outputs = 1 + 2 * KEYPOINTS
         self.head_weight = nn.Parameter(torch.randn(objects, outputs, width) * width**-0.5)
@@ -116,8 +154,10 @@ class KeypointNet(nn.Module):
         x = self.up16(torch.cat([_twice(self.bottleneck(f32)), f16], 1))
         x = _modulate(x, self.film16(embedding))
         x = self.up8(torch.cat([_twice(x), f8], 1))
+        x = self.refine8(self.coordinates8(x))
         x = self.up4(torch.cat([_twice(x), f4], 1))
-        x = self.trunk(_modulate(x, self.film4(embedding)))
+        x = self.trunk(self.coordinates4(_modulate(x, self.film4(embedding))))
+        x = self.refine4(x)
         batch, width, height, breadth = x.shape
         maps = torch.baddbmm(
             self.head_bias[objects].to(x.dtype).unsqueeze(2),
