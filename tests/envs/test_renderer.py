@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+import workers
 from two_view_pose.assets.object_model import ObjectModel
 from two_view_pose.envs import gl
 from two_view_pose.envs.arrangement import Arrangement, Thing
@@ -272,23 +273,15 @@ def test_wrong_input_is_refused(scene: Scene) -> None:
             SceneRenderer(scene, size, 32)
 
 
-def _render_in_worker(queue: multiprocessing.Queue) -> None:
-    ball = primitive_model("ball", trimesh.creation.icosphere(2, 0.05))
-    scene = Scene({"ball": ball}, ALONE, Randomization.none())
-    with SceneRenderer(scene, 48, 64) as renderer:
-        state = scene.reset(np.random.default_rng(0), "ball")
-        queue.put(renderer.render(state.T_cam_world).rgb)
-
-
 def test_a_spawned_worker_draws_the_same_picture() -> None:
     context = multiprocessing.get_context("spawn")
     queue = context.Queue()
-    worker = context.Process(target=_render_in_worker, args=(queue,))
+    worker = context.Process(target=workers.render_duck, args=(queue,))
     worker.start()
     theirs = queue.get(timeout=60)
     worker.join()
     here: multiprocessing.Queue = multiprocessing.get_context("spawn").Queue()
-    _render_in_worker(here)
+    workers.render_duck(here)
     np.testing.assert_array_equal(here.get(timeout=10), theirs)
 
 

@@ -1,0 +1,21 @@
+"""What test processes run; in a module of its own, which a spawned process can import."""
+
+from __future__ import annotations
+
+import multiprocessing
+
+import numpy as np
+from two_view_pose import assets
+from two_view_pose.envs.randomization import Randomization
+from two_view_pose.envs.renderer import SceneRenderer
+from two_view_pose.envs.scene import Scene, SceneConfig
+
+ALONE = SceneConfig(clutter_objects=(0, 0), plain_shapes=(0, 0))
+
+
+def render_duck(queue: multiprocessing.Queue) -> None:
+    """Puts a picture of a duck alone on the table into the queue."""
+    scene = Scene(assets.load_objects(["duck"]), ALONE, Randomization.none())
+    with SceneRenderer(scene, 48, 64) as renderer:
+        state = scene.reset(np.random.default_rng(0), "duck")
+        queue.put(renderer.render(state.T_cam_world).rgb)
