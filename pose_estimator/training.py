@@ -28,11 +28,11 @@ class TrainEstimatorConfig:
     """Folder of the dataset that holds the scenes."""
     stages: tuple[str, ...] = ("detector", "features", "volume")
     """Which stages to run, in this order."""
-    detector_steps: int = 1500
+    detector_steps: int = 1200
     """Batches of 16 frames."""
-    feature_steps: int = 9000
+    feature_steps: int = 16000
     """Batches of 32 crops."""
-    volume_steps: int = 2500
+    volume_steps: int = 4000
     """Batches of 12 pairs of crops."""
     frozen_stages: int = 2
     """How many stages of the pretrained encoders stay as they are: fewer learn more, more are
