@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -17,6 +17,9 @@ from .networks import PoseNetworks, has_fast_bfloat16
 from .voting import vote_keypoints
 
 _CACHED_VIEWS = 4
+
+_MERGE_FLOOR = 0.3
+"""Variance in grid pixels that two crops' votes are given at least when they are averaged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +152,35 @@ def vote(features: Features2D) -> tuple[Tensor, Tensor, Tensor]:
     inside = torch.where(inside > 0.3, inside, torch.zeros_like(inside))
     votes = vote_keypoints(directions, inside[:, None] * sure**2)
     return votes.mean, votes.covariance, votes.score
+
+
+def merge_votes(view: EncodedView, other: EncodedView, permutations: np.ndarray) -> EncodedView:
+    """Averages the votes of two crops of one picture, each keypoint by its two covariances.
+
+    Args:
+        view: the crop whose grid and features the result keeps.
+        other: another crop of the same picture.
+        permutations: (P, 9) the numberings that the object's symmetries allow; ``other`` takes the
+            one that is nearest to ``view``.
+
+    Returns:
+        ``view`` with both crops' votes. Their errors are those of one network on one picture, not
+        independent ones, so the covariance is that of one crop.
+    """
+    A = np.linalg.inv(view.to_image) @ other.to_image
+    moved = (other.vote_mean @ A[:2, :2].T + A[:2, 2])[permutations]
+    best = int(np.linalg.norm(moved - view.vote_mean, axis=-1).sum(-1).argmin())
+    turned = A[:2, :2] @ other.vote_covariance[permutations[best]] @ A[:2, :2].T
+    means = np.stack([view.vote_mean, moved[best]])
+    covariances = np.stack([view.vote_covariance, turned])
+    precision = np.linalg.inv(covariances + _MERGE_FLOOR * np.eye(2))
+    covariance = np.linalg.inv(precision.sum(0))
+    weighted = np.einsum("vkij,vkj->ki", precision, means)
+    return replace(
+        view,
+        vote_mean=np.einsum("kij,kj->ki", covariance, weighted),
+        vote_covariance=2 * covariance,
+    )
 
 
 def grid_matrix(stride: int) -> np.ndarray:

@@ -52,7 +52,7 @@ class PerfectVotes:
 
     def encode(self, view, index, prior=None, roi=None) -> EncodedView:
         model = list(self.networks.objects.values())[index]
-        symmetry = self.twist[self.calls] if self.twist else 0
+        symmetry = self.twist[self.calls % len(self.twist)] if self.twist else 0
         self.calls += 1
         T = view.T_cam_world @ T_WORLD_OBJ @ model.symmetries[symmetry]
         config = self.networks.features.config
