@@ -98,8 +98,8 @@ class Refinement(nn.Module):
         super().__init__()
         self.block = ConvBlock(channels, channels)
         self.output = nn.Conv2d(channels, channels, 1)
-        nn.init.zeros_(self.output.weight)
-        nn.init.zeros_(self.output.bias)
+        for parameter in self.output.parameters():
+            nn.init.zeros_(parameter)
 
     def forward(self, x: Tensor) -> Tensor:
         return x + self.output(self.block(x))
