@@ -113,8 +113,10 @@ def read_agent(
     if not source.is_file():
         raise FileNotFoundError(f"agent file {source} does not exist")
     with source.open("rb") as stream:
-        start = stream.read(4)
-    if start == b"PK\x03\x04" or start[:1] == b"\x80":
+        start = stream.read(9)
+    # A safetensors file begins with eight bytes of length, which may be anything, then its header.
+    foreign = start[8:] != b"{"
+    if foreign and (start[:4] == b"PK\x03\x04" or start[:1] == b"\x80"):
         raise ValueError(
             f"agent file {source} is a {'zip' if start[:1] == b'P' else 'pickle'} file, which can "
             "run code when it is loaded, so it is not loaded; agents are .safetensors files, as "
