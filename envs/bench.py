@@ -98,9 +98,8 @@ def default_renderer(scene: Scene, T_cam_world: np.ndarray) -> Callable[[], np.n
     """A ``mujoco.Renderer`` of the scene as it is, with MuJoCo's default quality."""
     import mujoco
 
-    from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K, invert
-    from .camera import frustum, opencv_to_opengl
-    from .renderer import FAR, NEAR
+    from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K
+    from .renderer import aim
 
     height, width = LINEMOD_IMAGE_SIZE
     model = copy.copy(scene.world.model)
@@ -109,19 +108,10 @@ def default_renderer(scene: Scene, T_cam_world: np.ndarray) -> Callable[[], np.n
     model.vis.quality.shadowsize = quality.shadowsize
     model.vis.global_.offheight, model.vis.global_.offwidth = height, width
     renderer = mujoco.Renderer(model, height, width)
-    T_world_camera = invert(opencv_to_opengl(T_cam_world))
-    left, right, bottom, top = frustum(LINEMOD_K, height, width, NEAR)
 
     def draw() -> np.ndarray:
         renderer.update_scene(scene.data)
-        for camera in renderer.scene.camera:
-            camera.pos = T_world_camera[:3, 3]
-            camera.forward = -T_world_camera[:3, 2]
-            camera.up = T_world_camera[:3, 1]
-            camera.frustum_center = (left + right) / 2
-            camera.frustum_width = (right - left) / 2
-            camera.frustum_bottom, camera.frustum_top = bottom, top
-            camera.frustum_near, camera.frustum_far = NEAR, FAR
+        aim(renderer.scene, T_cam_world, LINEMOD_K, height, width)
         return renderer.render()
 
     return draw

@@ -107,16 +107,7 @@ class Graphics:
             mujoco.mjtCatBit.mjCAT_ALL.value,
             scene,
         )
-        T_world_camera = invert(opencv_to_opengl(T_cam_world))
-        left, right, bottom, top = frustum(K, height, width, NEAR)
-        for camera in scene.camera:
-            camera.pos = T_world_camera[:3, 3]
-            camera.forward = -T_world_camera[:3, 2]
-            camera.up = T_world_camera[:3, 1]
-            camera.frustum_center = (left + right) / 2
-            camera.frustum_width = (right - left) / 2
-            camera.frustum_bottom, camera.frustum_top = bottom, top
-            camera.frustum_near, camera.frustum_far = NEAR, FAR
+        aim(scene, T_cam_world, K, height, width)
         scene.flags[:] = 0
         scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = 1
         if segment:
@@ -225,6 +216,30 @@ class Graphics:
         self._uploaded[:] = self._versions
         self._context.mat_texrepeat[: 2 * model.nmat] = model.mat_texrepeat.reshape(-1)
         return self._context
+
+
+def aim(
+    scene: mujoco.MjvScene, T_cam_world: np.ndarray, K: np.ndarray, height: int, width: int
+) -> None:
+    """Points MuJoCo's cameras of an updated scene where an OpenCV camera looks.
+
+    Args:
+        scene: its cameras are changed.
+        T_cam_world: world to OpenCV camera, (4, 4).
+        K: camera matrix in pixels, (3, 3).
+        height: of the picture, pixels.
+        width: of the picture, pixels.
+    """
+    T_world_camera = invert(opencv_to_opengl(T_cam_world))
+    left, right, bottom, top = frustum(K, height, width, NEAR)
+    for camera in scene.camera:
+        camera.pos = T_world_camera[:3, 3]
+        camera.forward = -T_world_camera[:3, 2]
+        camera.up = T_world_camera[:3, 1]
+        camera.frustum_center = (left + right) / 2
+        camera.frustum_width = (right - left) / 2
+        camera.frustum_bottom, camera.frustum_top = bottom, top
+        camera.frustum_near, camera.frustum_far = NEAR, FAR
 
 
 def bounding_box(

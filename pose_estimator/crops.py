@@ -234,8 +234,8 @@ def _pack_image(image: BopImage, job: _Job) -> dict:
         mask = read_mask(annotation).astype(np.uint8) * 255
         targets.append(
             {
-                "jpeg": _encode(".jpg", _warp(rgb, affine)),
-                "png": _encode(".png", _warp(mask, affine)),
+                "jpeg": _encode(".jpg", warp_crop(rgb, affine, STORED_SIDE)),
+                "png": _encode(".png", warp_crop(mask, affine, STORED_SIDE)),
                 "object_index": job.numbers[annotation.obj_id],
                 "T_cam_obj": T,
                 "visibility": annotation.visibility,
@@ -260,10 +260,6 @@ def _encode(kind: str, picture: np.ndarray) -> bytes:
     if not ok:
         raise ValueError(f"OpenCV could not encode a {kind} of shape {picture.shape}")
     return data.tobytes()
-
-
-def _warp(picture: np.ndarray, affine: np.ndarray, side: int = STORED_SIDE) -> np.ndarray:
-    return warp_crop(picture, affine, side)
 
 
 def warp_crop(picture: np.ndarray, affine: np.ndarray, side: int) -> np.ndarray:

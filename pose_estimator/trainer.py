@@ -166,10 +166,7 @@ def _resume(stage: Stage, optimizer: torch.optim.Optimizer, path: Path) -> int:
     """Restores a checkpoint and returns its step; 0 if there is none."""
     if not path.is_file():
         return 0
-    tensors = load_file(path)
-    stage.module.load_state_dict(
-        {n.removeprefix("model."): t for n, t in tensors.items() if n.startswith("model.")}
-    )
+    tensors = restore_model(stage.module, path)
     numbers = {name: number for number, name in enumerate(_trainable(stage))}
     state: dict[int, dict[str, Tensor]] = {}
     for name, tensor in tensors.items():
@@ -181,6 +178,15 @@ def _resume(stage: Stage, optimizer: torch.optim.Optimizer, path: Path) -> int:
     full["state"] = state
     optimizer.load_state_dict(full)
     return read_step(path)
+
+
+def restore_model(module: nn.Module, path: Path) -> dict[str, Tensor]:
+    """Loads a checkpoint's parameters into a stage's module; returns all that the file holds."""
+    tensors = load_file(path)
+    module.load_state_dict(
+        {n.removeprefix("model."): t for n, t in tensors.items() if n.startswith("model.")}
+    )
+    return tensors
 
 
 def _trainable(stage: Stage) -> list[str]:

@@ -84,7 +84,7 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
     from .networks import NetworkConfig, PoseNetworks
     from .results import write_results
     from .stages import DetectorStage, FeatureStage, VolumeStage
-    from .trainer import LoopConfig, keep_freed_memory, run_stage
+    from .trainer import LoopConfig, keep_freed_memory, restore_model, run_stage
     from .weights import read_networks, save_weights
 
     unknown = [stage for stage in config.stages if stage not in _STAGES]
@@ -151,7 +151,7 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
             run_stage(stage, loop, log)
         elif (config.out / f"{name}.safetensors").is_file():
             # A stage that is not asked for keeps what an earlier run left.
-            _restore(classes[name](
+            restore_model(classes[name](
                 networks, train, held_out, steps=1, batch=1, learning_rate=1.0, seed=0
             ).module, config.out / f"{name}.safetensors")  # fmt: skip
     path = config.out / "weights.safetensors"
@@ -176,15 +176,6 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
     print(f"weights: {path}")
     print(f"evaluate them: python -m two_view_pose evaluate --method mid --weights {path}")
     return path
-
-
-def _restore(module: Any, path: Path) -> None:
-    from safetensors.torch import load_file
-
-    tensors = load_file(path)
-    module.load_state_dict(
-        {n.removeprefix("model."): t for n, t in tensors.items() if n.startswith("model.")}
-    )
 
 
 def _describe_data(data: Path) -> Any:
