@@ -16,6 +16,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from .optimizer import HybridOptimizer
 from .results import write_atomically
 
 # Of glibc's malloc.h.
@@ -89,10 +90,7 @@ def run_stage(stage: Stage, config: LoopConfig, log: Callable[[str, int, dict], 
     Raises:
         FloatingPointError: if the loss is no longer finite.
     """
-    parameters = [p for p in stage.module.parameters() if p.requires_grad]
-    optimizer = torch.optim.AdamW(
-        parameters, stage.learning_rate, weight_decay=config.weight_decay, foreach=True
-    )
+    optimizer = HybridOptimizer(stage.module, stage.learning_rate, config.weight_decay)
     checkpoint = config.out / f"{stage.name}.safetensors"
     step = _resume(stage, optimizer, checkpoint) if config.resume else 0
     if step >= stage.steps:
@@ -104,23 +102,17 @@ def run_stage(stage: Stage, config: LoopConfig, log: Callable[[str, int, dict], 
         total=stage.steps, initial=step, desc=stage.name, unit="step", mininterval=5.0
     ) as bar:
         while step < stage.steps:
-            for group in optimizer.param_groups:
-                group["lr"] = learning_rate(
-                    step,
-                    stage.steps,
-                    stage.learning_rate,
-                    min(config.warm_up, stage.steps // 5 + 1),
-                )
             loss, parts = stage.loss(next(source))
-            optimizer.zero_grad(set_to_none=True)
+            optimizer.zero_grad()
             loss.backward()
-            norm = nn.utils.clip_grad_norm_(parameters, 5.0)
+            norm = nn.utils.clip_grad_norm_(optimizer.parameters, 5.0)
             if not torch.isfinite(norm):
                 raise FloatingPointError(
                     f"{stage.name}: the loss is {float(loss.detach())} at step {step}; "
                     "resume with a lower --learning-rate"
                 )
-            optimizer.step()
+            warm_up = min(config.warm_up, stage.steps // 5 + 1)
+            optimizer.step(learning_rate(step, stage.steps, stage.learning_rate, warm_up))
             step += 1
             for name, part in parts.items():
                 value = float(part.detach())
@@ -154,29 +146,17 @@ def keep_freed_memory() -> None:
         mallopt(_M_TOP_PAD, 2**28)
 
 
-def _save(stage: Stage, optimizer: torch.optim.Optimizer, path: Path, step: int) -> None:
+def _save(stage: Stage, optimizer: HybridOptimizer, path: Path, step: int) -> None:
     tensors = {f"model.{n}": t.contiguous() for n, t in stage.module.state_dict().items()}
-    names = _trainable(stage)
-    for number, state in optimizer.state_dict()["state"].items():
-        tensors |= {f"optimizer.{names[number]}.{n}": t.contiguous() for n, t in state.items()}
+    tensors |= optimizer.state()
     write_atomically(path, save(tensors, {"step": str(step), "steps": str(stage.steps)}))
 
 
-def _resume(stage: Stage, optimizer: torch.optim.Optimizer, path: Path) -> int:
+def _resume(stage: Stage, optimizer: HybridOptimizer, path: Path) -> int:
     """Restores a checkpoint and returns its step; 0 if there is none."""
     if not path.is_file():
         return 0
-    tensors = restore_model(stage.module, path)
-    numbers = {name: number for number, name in enumerate(_trainable(stage))}
-    state: dict[int, dict[str, Tensor]] = {}
-    for name, tensor in tensors.items():
-        parameter, key = name.removeprefix("optimizer.").rsplit(".", 1)
-        # A parameter that was trained before and is frozen now needs no state.
-        if name.startswith("optimizer.") and parameter in numbers:
-            state.setdefault(numbers[parameter], {})[key] = tensor
-    full = optimizer.state_dict()
-    full["state"] = state
-    optimizer.load_state_dict(full)
+    optimizer.load_state(restore_model(stage.module, path))
     return read_step(path)
 
 
@@ -187,11 +167,6 @@ def restore_model(module: nn.Module, path: Path) -> dict[str, Tensor]:
         {n.removeprefix("model."): t for n, t in tensors.items() if n.startswith("model.")}
     )
     return tensors
-
-
-def _trainable(stage: Stage) -> list[str]:
-    """Names of the optimised parameters, in the optimizer's order."""
-    return [name for name, p in stage.module.named_parameters() if p.requires_grad]
 
 
 def read_step(path: Path) -> int:

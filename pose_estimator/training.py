@@ -30,7 +30,7 @@ class TrainEstimatorConfig:
     """Which stages to run, in this order."""
     detector_steps: int = 1200
     """Batches of 16 frames."""
-    feature_steps: int = 16000
+    feature_steps: int = 10000
     """Batches of 32 crops."""
     volume_steps: int = 4000
     """Batches of 12 pairs of crops."""
