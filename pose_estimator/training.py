@@ -184,6 +184,5 @@ def _describe_data(data: Path) -> Any:
     if not manifest.is_file():
         return {"dataset": Path(data).name}
     content = json.loads(manifest.read_text())
-    config = dict(content.get("config", content.get("configuration", {})))
-    config.pop("out", None)
-    return {"dataset": Path(data).name, "generate": config}
+    generated = {name: content[name] for name in ("settings", "scenes") if name in content}
+    return {"dataset": Path(data).name, "generate": generated}

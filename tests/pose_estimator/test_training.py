@@ -11,7 +11,12 @@ from two_view_pose.pose_estimator.crops import CropPack
 from two_view_pose.pose_estimator.dataset import TrainingSet
 from two_view_pose.pose_estimator.networks import PoseNetworks
 from two_view_pose.pose_estimator.stages import VolumeStage
-from two_view_pose.pose_estimator.training import TrainEstimatorConfig, train_estimator
+from two_view_pose.pose_estimator.training import (
+    TrainEstimatorConfig,
+    _describe_data,
+    train_estimator,
+)
+from two_view_pose.pose_estimator.weights import read_header
 
 
 def test_unknown_stages_are_named(tmp_path: Path):
@@ -36,12 +41,23 @@ def test_all_stages_end_in_weights_that_load(
     )  # fmt: skip
     path = train_estimator(config)
     assert path == tmp_path / "out" / "weights.safetensors"
+    assert read_header(path)["trained_on"]["dataset"] == dataset.name
     assert pose_estimator.load("mid", path).object_names == ("brick", "crate")
     records = json.loads((tmp_path / "figures.json").read_text())["records"]
     assert {r["stage"] for r in records} == {"detector", "features", "volume"}
     again = path.read_bytes()
     train_estimator(config)  # finished: nothing is trained again
     assert path.read_bytes() == again
+
+
+def test_the_header_says_how_the_data_was_made(tmp_path: Path):
+    from two_view_pose.envs.generate import GenerateConfig, _claim_folder
+
+    _claim_folder(GenerateConfig(out=tmp_path / "mine", scenes=3, seed=9), ("duck",))
+    said = _describe_data(tmp_path / "mine")
+    assert said["dataset"] == "mine" and said["generate"]["scenes"] == 3
+    assert said["generate"]["settings"]["seed"] == 9
+    assert said["generate"]["settings"]["objects"] == ["duck"]
 
 
 def test_the_volume_stage_sees_one_pose_in_both_views(
