@@ -32,7 +32,7 @@ class TrainEstimatorConfig:
     """Batches of 16 frames."""
     feature_steps: int = 10000
     """Batches of 32 crops."""
-    volume_steps: int = 4000
+    volume_steps: int = 3000
     """Batches of 12 pairs of crops."""
     frozen_stages: int = 2
     """How many stages of the pretrained encoders stay as they are: fewer learn more, more are
