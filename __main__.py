@@ -42,6 +42,11 @@ VERBS = {
         "envs.generate:generate",
         "renders paired training or test data and writes it in BOP format",
     ),
+    "cut-and-paste": Verb(
+        "pose_estimator.cut_and_paste_command:CutAndPasteCommand",
+        "pose_estimator.cut_and_paste_command:cut_and_paste",
+        "puts pictures together from objects cut out of a BOP data set",
+    ),
     "train-estimator": Verb(
         "pose_estimator.training:TrainEstimatorConfig",
         "pose_estimator.training:train_estimator",
@@ -66,6 +71,11 @@ VERBS = {
         "agents.config:EvaluateAgentConfig",
         "agents.evaluate:evaluate_agents",
         "compares policies on the same scenes",
+    ),
+    "compare": Verb(
+        "pose_estimator.study_config:CompareConfig",
+        "envs.compare:compare",
+        "all methods on the same two tests: tables, figures and a page",
     ),
     "bench": Verb(
         "envs.bench:BenchConfig",

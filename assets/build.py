@@ -19,7 +19,7 @@ from .contact_sheet import draw_contact_sheet, write_picture
 from .half_turn import HALF_TURN, four_quarters, quarter
 from .modelling import BLUEPRINTS, Blueprint
 from .object_model import ObjectModel
-from .solids import mesh_solid
+from .solid_mesh import mesh_solid
 from .storage import save_object
 
 

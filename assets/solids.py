@@ -1,23 +1,16 @@
-"""Objects as formulas: signed distance functions, and how one becomes a mesh of a given size.
+"""Objects as formulas: signed distance functions, how they combine, and their colours.
 
 A signed distance function maps points (N, 3) to (N,) values, negative inside. Ours are exact or a
 lower bound on the distance (ellipsoids, smooth unions), and their zero level is always exact. See
-https://iquilezles.org/articles/distfunctions for the formulas.
+https://iquilezles.org/articles/distfunctions for the formulas. `solid_mesh` makes meshes of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import product
 
-import fast_simplification
-import manifold3d
 import numpy as np
-import trimesh
-from scipy.optimize import minimize_scalar
-from scipy.spatial import ConvexHull
-from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 Sdf = Callable[[np.ndarray], np.ndarray]
@@ -28,14 +21,29 @@ Colour = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 Vector = Sequence[float] | np.ndarray
 
-MAX_BEND = 0.2
-"""Largest bend that `mesh_solid` may need; beyond it the shape would visibly warp."""
 
-BEND_PRICE = 0.1
-"""Relative error of the diameter that a bend of 1 must save, so that none is made for nothing."""
+@dataclass(frozen=True)
+class Solid:
+    """One object as a formula, in units of its own choosing.
 
-MAX_DIAMETER_ERROR = 0.01
-"""Relative error of the diameter that `mesh_solid` tolerates."""
+    Attributes:
+        sdf: its shape.
+        colour: its surface colour. Points are in solid coordinates, unit normals are those of the
+            finished mesh (`solid_mesh.MeshedSolid.to_solid` goes back from it).
+        bounds: (2, 3) box to look for the surface in; it must contain it with a little room.
+        edge_length: size of the meshing grid.
+        faces: how many triangles the finished mesh should have.
+        specular: MuJoCo material specularity, 0 to 1.
+        shininess: MuJoCo material shininess, 0 to 1.
+    """
+
+    sdf: Sdf
+    colour: Colour
+    bounds: np.ndarray
+    edge_length: float
+    faces: int = 2500
+    specular: float = 0.2
+    shininess: float = 0.3
 
 
 # Primitives
@@ -257,189 +265,3 @@ def coloured_parts(*parts: tuple[Sdf, Vector]) -> Colour:
         return palette[distances.argmin(axis=0)]
 
     return colour
-
-
-# From solid to mesh
-
-
-@dataclass(frozen=True)
-class Solid:
-    """One object as a formula, in units of its own choosing.
-
-    Attributes:
-        sdf: its shape.
-        colour: its surface colour. Points are in solid coordinates (`MeshedSolid.to_solid`), unit
-            normals are those of the finished mesh.
-        bounds: (2, 3) box to look for the surface in; it must contain it with a little room.
-        edge_length: size of the meshing grid.
-        faces: how many triangles the finished mesh should have.
-        specular: MuJoCo material specularity, 0 to 1.
-        shininess: MuJoCo material shininess, 0 to 1.
-    """
-
-    sdf: Sdf
-    colour: Colour
-    bounds: np.ndarray
-    edge_length: float
-    faces: int = 2500
-    specular: float = 0.2
-    shininess: float = 0.3
-
-
-@dataclass(frozen=True)
-class MeshedSolid:
-    """A solid brought to its real size.
-
-    Attributes:
-        mesh: watertight, in one piece, metres, centred on its bounding box.
-        to_solid: maps points (N, 3) of the mesh's frame back to the solid's coordinates.
-        bend: how far the corners had to be pulled in to meet the diameter, at most `MAX_BEND`.
-    """
-
-    mesh: trimesh.Trimesh
-    to_solid: Callable[[np.ndarray], np.ndarray]
-    bend: float
-
-
-def mesh_solid(solid: Solid, extents_m: Vector, diameter_m: float) -> MeshedSolid:
-    """Meshes a solid and fits it to the given size.
-
-    Each axis is scaled so that the bounding box is exact. The diameter is then met by a gentle
-    bend that pulls the box's corners in (or out) and leaves horizontal planes horizontal, so a
-    flat base stays flat.
-
-    Args:
-        solid: the object.
-        extents_m: (3,) side lengths of the bounding box, metres.
-        diameter_m: largest distance between two points of the surface, metres.
-
-    Raises:
-        ValueError: if the surface is open (``bounds`` too tight), comes in several pieces, or is
-            of a shape that a bend of `MAX_BEND` does not bring to the diameter.
-    """
-    target = np.asarray(extents_m, dtype=float)
-    vertices, faces = _decimate(_level_set(solid), solid.faces, solid.edge_length)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    centre, half = (low + high) / 2, (high - low) / 2
-    unit = (vertices - centre) / half
-
-    def excess(bend: float) -> float:
-        return _diameter(_fit(_bend(unit, bend), target)[0]) - diameter_m
-
-    bend = _best_bend(lambda bend: abs(excess(bend)) / diameter_m + BEND_PRICE * abs(bend))
-    if abs(excess(bend)) > MAX_DIAMETER_ERROR * diameter_m:
-        raise ValueError(
-            f"diameter_m {diameter_m:.4f} is out of this shape's reach: with the extents "
-            f"{target.tolist()} it is {diameter_m + excess(0.0):.4f} unbent and "
-            f"{diameter_m + excess(bend):.4f} at best"
-        )
-    fitted, scale, offset = _fit(_bend(unit, bend), target)
-
-    def to_solid(points: np.ndarray) -> np.ndarray:
-        return _unbend((points - offset) / scale, bend) * half + centre
-
-    return MeshedSolid(trimesh.Trimesh(fitted, faces, process=False), to_solid, bend)
-
-
-def _level_set(solid: Solid) -> manifold3d.Manifold:
-    """The zero level as one closed surface.
-
-    Manifold asks for one value at a time, at grid points that do not depend on the answers. So it
-    is asked twice: once to learn the points, which are then evaluated all together.
-    """
-    bounds = np.asarray(solid.bounds, dtype=float)
-    limits = (*bounds[0], *bounds[1])
-    asked: list[tuple[float, float, float]] = []
-
-    def learn(x: float, y: float, z: float) -> float:
-        asked.append((x, y, z))
-        return -1.0
-
-    manifold3d.Manifold.level_set(learn, limits, solid.edge_length)
-    known = dict(zip(asked, (-solid.sdf(np.array(asked))).tolist(), strict=True))
-    surface = manifold3d.Manifold.level_set(
-        lambda x, y, z: known[x, y, z], limits, solid.edge_length
-    )
-    if surface.is_empty():
-        raise ValueError(f"the solid has no surface within bounds {bounds.tolist()}")
-    box_low, box_high = np.reshape(surface.bounding_box(), (2, 3))
-    if (box_low <= bounds[0]).any() or (box_high >= bounds[1]).any():
-        raise ValueError(
-            f"bounds {bounds.tolist()} cut the solid, which reaches from "
-            f"{box_low.tolist()} to {box_high.tolist()}"
-        )
-    # Cavities, which nobody sees, and folds of slivers are pieces too, of no volume of their own.
-    crumb = solid.edge_length**3
-    pieces = [piece for piece in surface.decompose() if piece.volume() > crumb]
-    if len(pieces) != 1:
-        boxes = [np.round(piece.bounding_box(), 3).tolist() for piece in pieces]
-        raise ValueError(f"a solid must be in one piece, this one has {len(pieces)}, at {boxes}")
-    return pieces[0]
-
-
-def _decimate(
-    surface: manifold3d.Manifold, count: int, edge_length: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) and faces (F, 3): quadric edge collapse to ``count`` faces, still closed.
-
-    Now and then a collapse pinches the surface. Another pace or count then goes another way, and
-    at last a start without slivers, though that start makes round things look carved.
-    """
-    low, high = np.reshape(surface.bounding_box(), (2, 3))
-    size = float((high - low).max())  # the thresholds of the collapse are lengths
-    ways = product((0.0, 0.02, 0.05, 0.1, 0.2), (1.0, 0.96, 0.92), (3.0, 3.5, 4.0, 5.0))
-    for sliver, part, aggression in ways:
-        start = (surface.simplify(sliver * edge_length) if sliver else surface).to_mesh64()
-        points = np.array(start.vert_properties[:, :3], dtype=float, order="C") / size
-        triangles = np.array(start.tri_verts, dtype=np.int64, order="C")
-        slim, slim_faces = fast_simplification.simplify(
-            points, triangles, target_count=int(part * count), agg=aggression
-        )
-        vertices = (slim * size).astype(np.float32).astype(float)  # as a file holds them
-        mesh = trimesh.Trimesh(vertices, slim_faces)  # points that fall together become one
-        edges_once = len(np.unique(mesh.edges, axis=0)) == len(mesh.edges)
-        sound = mesh.is_watertight and mesh.is_winding_consistent and edges_once
-        whole = mesh.body_count == 1 and len(mesh.faces) <= 1.05 * count
-        if sound and whole and mesh.area_faces.min() > 1e-9 * mesh.area:
-            return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    raise ValueError(f"the surface tears when reduced to {count} faces; try another edge_length")
-
-
-def _diameter(points: np.ndarray) -> float:
-    """Largest distance between two points."""
-    return float(pdist(points[ConvexHull(points).vertices]).max())
-
-
-def _fit(points: np.ndarray, extents: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (N, 3) with bounding box ``extents`` about the origin, and the scale and offset."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    scale = extents / (high - low)
-    offset = -scale * (low + high) / 2
-    return points * scale + offset, scale, offset
-
-
-def _best_bend(cost: Callable[[float], float]) -> float:
-    """The bend of least cost: a scan, since the cost has several valleys, then a descent."""
-    grid = np.linspace(-MAX_BEND, MAX_BEND, 41)
-    best = grid[np.argmin([cost(bend) for bend in grid])]
-    step, options = grid[1] - grid[0], {"xatol": 1e-5}
-    around = (max(best - step, -MAX_BEND), min(best + step, MAX_BEND))
-    found = minimize_scalar(cost, bounds=around, method="bounded", options=options)
-    return float(found.x) if found.fun < cost(best) else float(best)
-
-
-def _bend(unit: np.ndarray, bend: float) -> np.ndarray:
-    """Pulls points of the cube [-1, 1]^3 towards the z axis, the more the nearer to a corner."""
-    squared = unit**2
-    x = unit[:, 0] * (1 - bend * (squared[:, 1] + squared[:, 2]))
-    y = unit[:, 1] * (1 - bend * (squared[:, 0] + squared[:, 2]))
-    return np.stack([x, y, unit[:, 2]], axis=1)
-
-
-def _unbend(points: np.ndarray, bend: float) -> np.ndarray:
-    """Inverse of `_bend`, by fixed-point iteration (a contraction for bends up to MAX_BEND)."""
-    x, y, z2 = points[:, 0], points[:, 1], points[:, 2] ** 2
-    for _ in range(60):
-        x = points[:, 0] / (1 - bend * (y**2 + z2))
-        y = points[:, 1] / (1 - bend * (x**2 + z2))
-    return np.stack([x, y, points[:, 2]], axis=1)

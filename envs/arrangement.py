@@ -1,22 +1,14 @@
-"""Chooses what stands where, so that the camera sees as much of the target as it should.
-
-LineMOD's targets stand in full view. LM-O's are hidden behind their neighbours: a wished visibility
-is drawn from LM-O's distribution, and arrangements are tried, measured by small pictures, until
-one comes near.
-"""
+"""What stands where on the table: the records, and what all ways of arranging share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K, crop_matrix, project, transform
-from .camera import CameraRange
-from .placement import Placed, Resting, free, on_table, pack, resting_shape
-from .world import SHAPE_KINDS, TABLE_HALF
+from ..pose_estimator.geometry import LINEMOD_K, crop_matrix, project, transform
+from .placement import Placed, Resting, free
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -25,9 +17,6 @@ LMO_VISIBILITY = ((0.0, 0.05, 0.25, 0.5, 0.75, 1.0), (0.08, 0.17, 0.63, 0.88, 0.
 """Quantiles of the target's visibility in LM-O: probabilities and values."""
 
 PROBE_SIZE = 96
-_TOLERANCE = 0.03
-_ROTATIONS = 6
-_BISECTIONS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,236 +49,17 @@ class Arrangement:
         """All things."""
         return [t.placed for t in (*self.objects.values(), *self.shapes.values())]
 
-
-def arrange(
-    scene: Scene,
-    rng: np.random.Generator,
-    target: str,
-    resting: Mapping[str, list[Resting]],
-    camera: CameraRange,
-    T_cam_world: np.ndarray | None,
-) -> tuple[Arrangement, np.ndarray, float]:
-    """Arranges the table and places the reference camera; the scene then shows the result.
-
-    Args:
-        scene: shows arrangements and measures visibility.
-        rng: decides everything.
-        target: name of the target.
-        resting: for each object the ways it rests.
-        camera: where the reference camera may stand.
-        T_cam_world: the camera if it is given, (4, 4).
-
-    Returns:
-        The arrangement, the camera and the target's visibility in it.
-    """
-    search = _Search(scene, rng, target, resting, camera, T_cam_world)
-    if scene.config.kind == "linemod":
-        return search.in_full_view()
-    return search.hidden()
+    def clearance(self, points: np.ndarray) -> float:
+        """How far points (N, 3) stay away from all things, as upright cylinders; metres."""
+        nearest = np.inf
+        for thing in self.placed():
+            beside = np.linalg.norm(points[:, :2] - thing.xy, axis=1) - thing.resting.radius
+            above = points[:, 2] - thing.resting.height
+            nearest = min(nearest, float(np.maximum(beside, above).min()))
+        return nearest
 
 
-class _Search:
-    def __init__(
-        self,
-        scene: Scene,
-        rng: np.random.Generator,
-        target: str,
-        resting: Mapping[str, list[Resting]],
-        camera: CameraRange,
-        T_cam_world: np.ndarray | None,
-    ) -> None:
-        self.scene, self.rng, self.target, self.resting = scene, rng, target, resting
-        self.range, self.given = camera, T_cam_world
-        self.config = scene.config
-        self.vertices = scene.objects[target].vertices
-        self.best: tuple[float, Arrangement, np.ndarray, float] | None = None
-
-    def in_full_view(self) -> tuple[Arrangement, np.ndarray, float]:
-        """LineMOD: mostly 0.9 and more of the target is seen, never less than half if avoidable."""
-        least = 0.9 if self.rng.uniform() < 0.9 else 0.5
-        for _ in range(4):
-            arrangement = self.scatter(nearest=(0.1, 0.4))
-            T = self.place_camera(arrangement)
-            if self.try_rotations(arrangement, T, 4, lambda v: max(0.0, least - v), 1e-9):
-                break
-        return self.result()
-
-    def hidden(self) -> tuple[Arrangement, np.ndarray, float]:
-        """LM-O: a wished visibility, approached by turning the table, then by an occluder."""
-        wish = float(np.interp(self.rng.uniform(), *LMO_VISIBILITY))
-        low = self.range.elevation[0]
-        top = min(self.range.elevation[1], max(low, np.deg2rad(35.0 + 50.0 * wish)))
-        self.range = replace(self.range, elevation=(low, top))
-
-        def miss(visibility: float) -> float:
-            return abs(visibility - wish)
-
-        for _ in range(3):
-            arrangement = self.scatter(nearest=(0.0, 0.25))
-            T = self.place_camera(arrangement)
-            if self.try_rotations(arrangement, T, _ROTATIONS, miss, _TOLERANCE):
-                break
-            if self.slide_occluder(wish):
-                break
-        return self.result()
-
-    def result(self) -> tuple[Arrangement, np.ndarray, float]:
-        assert self.best is not None
-        _, arrangement, T_cam_world, visibility = self.best
-        self.scene.show(arrangement)
-        return arrangement, T_cam_world, visibility
-
-    def scatter(self, nearest: tuple[float, float]) -> Arrangement:
-        """Puts the target near the table's middle and clutter around it."""
-        rng, config = self.rng, self.config
-        xy = rng.uniform(-0.12, 0.12, 2)
-        rest = self.draw_rest(self.target, config.upright_probability)
-        placed = Placed(rest, xy, rng.uniform(-np.pi, np.pi))
-        objects, shapes = {self.target: Thing(placed)}, {}
-        all_placed = [placed]
-        others = [name for name in self.resting if name != self.target]
-        count = min(
-            len(others), int(rng.integers(config.object_count[0], config.object_count[1] + 1))
-        )
-        for k in rng.permutation(len(others))[:count]:
-            rest = self.draw_rest(others[k], config.clutter_upright_probability)
-            fitted = pack(rng, rest, all_placed, xy, rng.uniform(*nearest), TABLE_HALF)
-            if fitted is not None:
-                objects[others[k]] = Thing(fitted)
-                all_placed.append(fitted)
-        count = int(rng.integers(config.shape_count[0], config.shape_count[1] + 1))
-        for k in rng.permutation(len(SHAPE_KINDS))[:count]:
-            size = draw_size(rng, SHAPE_KINDS[k])
-            rest = resting_shape(SHAPE_KINDS[k], size)
-            fitted = pack(rng, rest, all_placed, xy, rng.uniform(*nearest), TABLE_HALF)
-            if fitted is not None:
-                shapes[int(k)] = Thing(fitted, size)
-                all_placed.append(fitted)
-        return Arrangement(objects, shapes)
-
-    def draw_rest(self, name: str, upright: float) -> Resting:
-        """Upright with this probability, else any of the other ways it rests."""
-        ways = self.resting[name]
-        if len(ways) == 1 or self.rng.uniform() < upright:
-            return ways[0]
-        return ways[1 + self.rng.integers(len(ways) - 1)]
-
-    def place_camera(self, arrangement: Arrangement) -> np.ndarray:
-        """A reference camera whose picture holds the whole target."""
-        if self.given is not None:
-            return self.given
-        placed = arrangement.objects[self.target].placed
-        centre = np.append(placed.xy, placed.resting.height / 2)
-        points = transform(placed.T_world_obj, self.vertices)
-        height, width = LINEMOD_IMAGE_SIZE
-        best, best_outside = None, np.inf
-        for _ in range(10):
-            T = self.range.sample(self.rng, centre)
-            uv = project(transform(T, points), LINEMOD_K)
-            outside = float(np.mean((uv < 2) | (uv > (width - 3, height - 3))))
-            if outside < best_outside:
-                best, best_outside = T, outside
-            if outside == 0:
-                break
-        assert best is not None
-        return best
-
-    def try_rotations(
-        self,
-        arrangement: Arrangement,
-        T_cam_world: np.ndarray,
-        count: int,
-        miss: Callable[[float], float],
-        enough: float,
-    ) -> bool:
-        """Turns the table under the camera in steps; whether one comes near enough."""
-        centre = arrangement.objects[self.target].placed.xy
-        start = self.rng.uniform(-np.pi, np.pi)
-        for k in range(count):
-            turned = arrangement.rotated(centre, start + 2 * np.pi * k / count)
-            if not all(on_table(p, TABLE_HALF) for p in turned.placed()):
-                continue
-            if self.measure(turned, T_cam_world, miss)[1] <= enough:
-                return True
-        if self.best is None:
-            self.measure(arrangement, T_cam_world, miss)
-        return False
-
-    def slide_occluder(self, wish: float) -> bool:
-        """Slides something sideways between camera and target until enough of it is hidden.
-
-        The nearer it is to the line of sight the more it hides, so a bisection finds its place.
-        """
-        assert self.best is not None
-        _, base, T_cam_world, visibility = self.best
-        if visibility < wish:
-            return False
-        target = base.objects[self.target].placed
-        towards = -T_cam_world[:3, :3].T @ T_cam_world[:3, 3]
-        towards = towards[:2] - target.xy
-        towards /= max(float(np.linalg.norm(towards)), 1e-9)
-        sideways = np.array([-towards[1], towards[0]]) * self.rng.choice((-1.0, 1.0))
-        for name, occluder in self.occluders(base):
-            reach = target.resting.radius + occluder.placed.resting.radius + 0.004
-            near, far = 0.0, reach
-            for step in range(_BISECTIONS):
-                lateral = near if step == 0 else (near + far) / 2
-                xy = target.xy + reach * towards + lateral * sideways
-                tried = _with(base, name, replace(occluder, placed=occluder.placed.moved(xy)))
-                if not all(on_table(p, TABLE_HALF) for p in tried.placed()):
-                    break
-                visibility, missed = self.measure(tried, T_cam_world, lambda v: abs(v - wish))
-                if missed <= _TOLERANCE:
-                    return True
-                if visibility < wish:
-                    near = lateral
-                elif step == 0:
-                    break  # too small to hide enough
-                else:
-                    far = lateral
-        return False
-
-    def occluders(self, base: Arrangement) -> list[tuple[str | int, Thing]]:
-        """Things to hide the target behind: two tall neighbours, then a box that is tall enough."""
-        target = base.objects[self.target].placed.resting
-        tall: list[tuple[str | int, Thing]] = [
-            (name, thing)
-            for name, thing in base.objects.items()
-            if name != self.target and thing.placed.resting.height > 0.6 * target.height
-        ]
-        chosen = [tall[i] for i in self.rng.permutation(len(tall))[:2]]
-        boxes = [i for i, kind in enumerate(SHAPE_KINDS) if kind == "box" and i not in base.shapes]
-        if boxes:
-            wide = self.rng.uniform(0.6, 1.0) * target.radius
-            high = 0.5 * target.height * self.rng.uniform(0.9, 1.4)
-            size = np.clip((wide, self.rng.uniform(0.015, 0.05), high), 0.015, 0.16)
-            angle = self.rng.uniform(-np.pi, np.pi)
-            box = Placed(resting_shape("box", size), np.zeros(2), angle)
-            chosen.append((boxes[0], Thing(box, size)))
-        return chosen
-
-    def measure(
-        self, arrangement: Arrangement, T_cam_world: np.ndarray, miss: Callable[[float], float]
-    ) -> tuple[float, float]:
-        """Shows an arrangement and keeps it if it is the best so far; its visibility and miss."""
-        self.scene.show(arrangement)
-        T_world_obj = arrangement.objects[self.target].placed.T_world_obj
-        points = transform(T_cam_world @ T_world_obj, self.vertices)
-        uv = project(points[points[:, 2] > 0.05], LINEMOD_K)
-        if len(uv) == 0:
-            visibility = 0.0
-        else:
-            low, high = uv.min(axis=0), uv.max(axis=0)
-            side = 1.06 * float((high - low).max()) + 2.0
-            K = crop_matrix((low + high) / 2, side, PROBE_SIZE) @ LINEMOD_K
-            visibility = self.scene.visibility(self.target, T_cam_world, K, PROBE_SIZE)
-        missed = miss(visibility)
-        if self.best is None or missed < self.best[0]:
-            self.best = (missed, arrangement, T_cam_world, visibility)
-        return visibility, missed
-
-
-def _with(base: Arrangement, name: str | int, thing: Thing) -> Arrangement:
+def joined(base: Arrangement, name: str | int, thing: Thing) -> Arrangement:
     """``thing`` joins an arrangement; what it would touch leaves."""
     rest = {
         key: other
@@ -310,3 +80,37 @@ def draw_size(rng: np.random.Generator, kind: str) -> np.ndarray:
     if kind == "cylinder":
         return np.array([rng.uniform(0.02, 0.05), rng.uniform(0.015, 0.1), 0.0])
     return np.array([rng.uniform(0.02, 0.05), 0.0, 0.0])
+
+
+def draw_rest(rng: np.random.Generator, ways: list[Resting], upright: float) -> Resting:
+    """Upright with this probability, else any of the other ways that a thing rests."""
+    if len(ways) == 1 or rng.uniform() < upright:
+        return ways[0]
+    return ways[1 + rng.integers(len(ways) - 1)]
+
+
+def probe_camera(points: np.ndarray, size: int) -> np.ndarray | None:
+    """The camera (3, 3) of a small square picture that holds all that LineMOD's camera sees.
+
+    Args:
+        points: what is to be seen, (N, 3) metres, camera frame.
+        size: side of the picture in pixels.
+
+    Returns:
+        K, or None where all the points lie behind the camera.
+    """
+    uv = project(points[points[:, 2] > 0.05], LINEMOD_K)
+    if len(uv) == 0:
+        return None
+    low, high = uv.min(axis=0), uv.max(axis=0)
+    side = 1.06 * float((high - low).max()) + 2.0
+    return crop_matrix((low + high) / 2, side, size) @ LINEMOD_K
+
+
+def target_visibility(
+    scene: Scene, target: str, T_world_obj: np.ndarray, T_cam_world: np.ndarray
+) -> float:
+    """Visible fraction of an object of the scene as it stands, measured by a small picture."""
+    points = transform(T_cam_world @ T_world_obj, scene.objects[target].vertices)
+    K = probe_camera(points, PROBE_SIZE)
+    return 0.0 if K is None else scene.visibility(target, T_cam_world, K, PROBE_SIZE)

@@ -1,4 +1,4 @@
-"""The verb ``bench``: how quick things are, as ratios to what people would use instead.
+"""The verb ``bench``: how quick things are (and how robust), as ratios to what others would use.
 
 Machines differ and drift, so both sides of a ratio run in turn in one process, and medians count.
 """
@@ -43,9 +43,12 @@ def bench(config: BenchConfig) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from ..pose_estimator import bench_solver
     from ..pose_estimator.results import write_results
 
     records = [compare_renderers(config)]
+    records.append(bench_solver.compare_speed(config.repeats, config.seed))
+    records.append(bench_solver.compare_robustness(config.seed))
     if config.weights is not None:
         records.append(compare_step(config))
     table = Table(title="side by side in one run, medians")
@@ -55,14 +58,21 @@ def bench(config: BenchConfig) -> None:
         table.add_row(
             record["work"],
             record["against"],
-            f"{1000 * record['seconds']:.1f} ms",
-            f"{1000 * record['seconds_against']:.1f} ms",
+            amount(record),
+            amount(record, "_against"),
             f"{record['value']:.2f}x",
             f">= {record['goal']:g}x",
         )
     Console().print(table)
     if config.json is not None:
         write_results(config.json, records, command="bench", seed=config.seed)
+
+
+def amount(record: dict[str, Any], side: str = "") -> str:
+    """What one side of a comparison came to, for people."""
+    if f"share{side}" in record:
+        return f"{100 * record[f'share{side}']:.1f} %"
+    return f"{1000 * record[f'seconds{side}']:.3g} ms"
 
 
 def compare_renderers(config: BenchConfig) -> dict[str, Any]:
@@ -99,7 +109,7 @@ def default_renderer(scene: Scene, T_cam_world: np.ndarray) -> Callable[[], np.n
     import mujoco
 
     from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K
-    from .renderer import aim
+    from .graphics import aim
 
     height, width = LINEMOD_IMAGE_SIZE
     model = copy.copy(scene.world.model)

@@ -32,6 +32,8 @@ def evaluate(config: EvaluateConfig) -> None:
                 view_angles=(10.0, 60.0),
                 jpeg_quality=0,
                 masks=False,
+                depth=config.method == "rgbd",
+                depth_noise=config.method == "rgbd",
             )
         )
         evaluate_dataset(config, root, {"scene": config.scene})

@@ -1,8 +1,9 @@
 """Renders scenes for training and testing estimators, and writes them in BOP format.
 
-One BOP scene is one arrangement of objects, seen by several cameras: the first is the reference
-view, the others stand 10 to 75 degrees from it around the target. What a scene holds depends only
-on the seed and its number, so neither the number of workers nor a restart changes a byte.
+One BOP scene is one arrangement of objects, seen by several cameras. Either the first is the
+reference view and the others stand 10 to 75 degrees from it around the target, or they are frames
+of a hand-held camera's sequence. What a scene holds depends only on the seed and its number, so
+neither the number of workers nor a restart changes a byte.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from tqdm import tqdm
 
@@ -30,6 +31,10 @@ QUIET_THREADS = {
     "LP_NUM_THREADS": "0",  # llvmpipe draws in the worker itself: workers are the parallelism
 }
 """What the workers' environment says unless the caller's own says otherwise."""
+
+
+SceneKind = Literal["linemod", "occlusion", "heap", "mixed", "all"]
+Sampling = Literal["sphere", "hand-held", "mixed"]
 
 
 @dataclass(frozen=True)
@@ -45,12 +50,23 @@ class GenerateConfig:
     scenes: int = 100
     """How many scenes (arrangements of objects)."""
     views: int = 4
-    """Pictures of each scene; the first is the reference view."""
+    """Pictures of each scene, the first of them the reference view; of hand-held scenes, the frames
+    of the sequence."""
     objects: tuple[str, ...] = ()
     """Names of our objects, mesh files or folders of them; empty: all thirteen. Each is the target
     equally often."""
-    scene: Literal["linemod", "occlusion", "mixed"] = "mixed"
-    """Light clutter, heavy clutter, or both by turns."""
+    scene: SceneKind = "mixed"
+    """Light clutter, heavy clutter, eight objects in a heap, the first two by turns, or all three
+    by turns."""
+    sampling: Sampling = "sphere"
+    """Views spread over the sphere around the target, frames of a hand-held camera's path (1.5 to
+    3 cm from one to the next), or both by turns; then the hand-held scenes are one reference view
+    and a frame at each gap from it."""
+    gaps: tuple[int, ...] = (1, 5, 10)
+    """Hand-held: frames between the two views of a pair."""
+    references: int = 0
+    """Hand-held: how many frames of a sequence are reference views, spread evenly; frames that no
+    pair needs are not rendered. 0: every frame that has followers at all gaps."""
     split: str = "train_pbr"
     """Name of the split's folder."""
     seed: int = 0
@@ -68,6 +84,8 @@ class GenerateConfig:
     """Angles in degrees of the pairs that two_view_pairs.json lists."""
     depth: bool = False
     """Also write depth maps (16-bit PNG)."""
+    depth_noise: bool = False
+    """Depth maps as a Kinect would see them, with noise, steps and holes; otherwise exact ones."""
     masks: bool = True
     """Also write masks of the objects' visible pixels."""
     jpeg_quality: int = 92
@@ -78,7 +96,8 @@ class GenerateConfig:
     """File for machine-readable results."""
 
     def __post_init__(self) -> None:
-        for name, least in (("scenes", 1), ("views", 1), ("workers", 1), ("seed", 0)):
+        at_least = {"scenes": 1, "views": 1, "workers": 1, "seed": 0, "references": 0}
+        for name, least in at_least.items():
             if getattr(self, name) < least:
                 raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)}")
         for name in ("width", "height"):
@@ -88,8 +107,20 @@ class GenerateConfig:
             low, high = getattr(self, name)
             if not 0 <= low <= high <= 150:
                 raise ValueError(f"{name} must rise within 0 to 150 degrees, got {(low, high)}")
-        if self.scene not in ("linemod", "occlusion", "mixed"):
-            raise ValueError(f"scene must be linemod, occlusion or mixed, got {self.scene!r}")
+        for name, allowed in (("scene", get_args(SceneKind)), ("sampling", get_args(Sampling))):
+            if getattr(self, name) not in allowed:
+                raise ValueError(
+                    f"{name} must be one of {', '.join(allowed)}, got {getattr(self, name)!r}"
+                )
+        if not self.gaps or list(self.gaps) != sorted({max(1, gap) for gap in self.gaps}):
+            raise ValueError(f"gaps must rise from at least 1, got {self.gaps}")
+        if self.sampling == "hand-held" and self.views <= max(self.gaps):
+            raise ValueError(
+                f"views must be more than the largest gap, {max(self.gaps)}, in hand-held "
+                f"sequences, got {self.views}"
+            )
+        if self.depth_noise and not self.depth:
+            raise ValueError("depth_noise needs depth: without it no depth maps are written")
         if not 0 <= self.jpeg_quality <= 100:
             raise ValueError(f"jpeg_quality must be 0 to 100, got {self.jpeg_quality}")
         if not self.split or Path(self.split).name != self.split:
@@ -107,7 +138,9 @@ def generate(config: GenerateConfig) -> None:
     from ..assets import load_objects
     from ..pose_estimator.bop_writer import scene_folder, write_camera, write_models, write_pairs
     from ..pose_estimator.results import write_results
-    from .scene_writer import scaled_intrinsics, two_view_pairs
+    from .pair_list import two_view_pairs
+    from .scene_plan import plan_scene
+    from .scene_writer import scaled_intrinsics
 
     objects = load_objects(config.objects or None)
     _claim_folder(config, tuple(objects))
@@ -126,14 +159,15 @@ def generate(config: GenerateConfig) -> None:
             bar.update()
     write_pairs(config.out / "two_view_pairs.json", two_view_pairs(config))
     seconds = time.perf_counter() - start
-    made = len(missing) * config.views
+    pictures = [len(plan_scene(config, i, tuple(objects)).frames) for i in range(config.scenes)]
+    made = sum(pictures[i] for i in missing)
     print(
-        f"{config.scenes} scenes of {config.views} pictures in {config.out / config.split}; "
+        f"{config.scenes} scenes, {sum(pictures)} pictures in {config.out / config.split}; "
         f"{made} pictures made now, {made / seconds:.1f} a second"
     )
     if config.json is not None:
         records = [
-            {"metric": "pictures", "value": config.scenes * config.views, "unit": "1"},
+            {"metric": "pictures", "value": sum(pictures), "unit": "1"},
             {"metric": "pictures_per_second", "value": made / seconds, "unit": "1/s"},
         ]
         write_results(config.json, records, command="generate", seed=config.seed)
@@ -144,28 +178,30 @@ def _claim_folder(config: GenerateConfig, object_names: tuple[str, ...]) -> None
     from ..pose_estimator.bop_writer import write_json
     from ..pose_estimator.results import versions
 
-    settings = asdict(config) | {"objects": object_names}
-    for name in (
-        "out",
-        "workers",
-        "scenes",
-        "json",
-    ):  # none of these changes what a scene looks like
-        del settings[name]
-    settings = json.loads(json.dumps(settings))
+    settings: dict[str, Any] = asdict(config) | {"objects": object_names}
+    aside = ["out", "workers", "scenes", "json"]  # none of these changes what a scene looks like
+    if config.sampling == "sphere":
+        aside += ["sampling", "gaps", "references"]
+    settings = _as_json({k: v for k, v in settings.items() if k not in aside})
     path = config.out / "manifest.json"
     if path.exists():
-        before = json.loads(path.read_text())["settings"]
-        changed = [k for k in settings if before.get(k) != settings[k]]
+        # What an older version did not know was as it is by default now.
+        defaults = _as_json({f.name: f.default for f in fields(config) if f.name in settings})
+        before = {"sampling": "sphere"} | defaults | json.loads(path.read_text())["settings"]
+        wanted = settings | {"sampling": config.sampling}
+        changed = [k for k in wanted if before.get(k) != wanted[k]]
         if changed:
             raise ValueError(
                 f"{config.out} holds a dataset with other settings: "
-                + ", ".join(
-                    f"{k} is {before.get(k)!r} there, {settings[k]!r} here" for k in changed
-                )
+                + ", ".join(f"{k} is {before.get(k)!r} there, {wanted[k]!r} here" for k in changed)
             )
     config.out.mkdir(parents=True, exist_ok=True)
     write_json(path, {"settings": settings, "scenes": config.scenes, "versions": versions()})
+
+
+def _as_json(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings as they come back from a file: tuples become lists."""
+    return json.loads(json.dumps(settings))
 
 
 def _make_scenes(config: GenerateConfig, scene_ids: list[int]) -> Iterator[int]:

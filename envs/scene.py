@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..assets.object_model import ObjectModel
 from ..pose_estimator.geometry import check_rigid
-from .arrangement import Arrangement, Thing, arrange
+from .arrangement import Arrangement, Thing
 from .camera import CameraRange
+from .clutter import arrange_clutter
 from .gl import mujoco
+from .graphics import Graphics
+from .heap import arrange_heap
 from .placement import resting_poses
 from .randomization import Randomization, apply_randomization, neutral_look
-from .renderer import Graphics
 from .world import HIDDEN, MOVABLE, SHAPE_KINDS, World, compile_world
 
-KINDS = ("linemod", "occlusion")
+KINDS = ("linemod", "occlusion", "heap")
+_OBJECT_COUNT = {"linemod": (3, 7), "occlusion": (5, 8), "heap": (7, 7)}
+_SHAPE_COUNT = {"linemod": (0, 4), "occlusion": (2, 5), "heap": (0, 2)}
 
 
 @dataclass(frozen=True)
@@ -25,8 +29,9 @@ class SceneConfig:
     """What stands on the table.
 
     Attributes:
-        kind: "linemod" (light clutter, the target nearly always in full view) or "occlusion"
-            (dense clutter; the target's visibility is distributed as in LM-O).
+        kind: "linemod" (light clutter, the target nearly always in full view), "occlusion"
+            (dense clutter; the target's visibility is distributed as in LM-O) or "heap" (eight
+            objects close together, all upright; the visibility of all is distributed so).
         clutter_objects: fewest and most other objects; None takes the kind's own.
         plain_shapes: fewest and most boxes, cylinders and spheres; None takes the kind's own.
         upright_probability: how often the target stands upright.
@@ -58,12 +63,12 @@ class SceneConfig:
     @property
     def object_count(self) -> tuple[int, int]:
         """Fewest and most other objects."""
-        return self.clutter_objects or ((3, 7) if self.kind == "linemod" else (5, 8))
+        return self.clutter_objects or _OBJECT_COUNT[self.kind]
 
     @property
     def shape_count(self) -> tuple[int, int]:
         """Fewest and most plain shapes."""
-        return self.plain_shapes or ((0, 4) if self.kind == "linemod" else (2, 5))
+        return self.plain_shapes or _SHAPE_COUNT[self.kind]
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +156,7 @@ class Scene:
             roll=self.randomization.camera_roll,
             look_at_noise=self.randomization.look_at_noise,
         )
+        arrange = arrange_heap if self.config.kind == "heap" else arrange_clutter
         arrangement, T_cam_world, visibility = arrange(
             self, rng, target, self._resting, camera, T_cam_world
         )
@@ -173,6 +179,20 @@ class Scene:
         rect = self.graphics.draw(T_cam_world, K, size, size, segment=True, groups=(MOVABLE,))
         return np.count_nonzero(self.graphics.geoms(rect) == geom) / whole
 
+    def visibilities(
+        self, names: Sequence[str], T_cam_world: np.ndarray, K: np.ndarray, size: int
+    ) -> np.ndarray:
+        """Visible fractions of several objects in one square picture of ``size`` pixels, (N,)."""
+        rect = self.graphics.draw(T_cam_world, K, size, size, segment=True, groups=(MOVABLE,))
+        seen = self.graphics.geoms(rect)
+        fractions = []
+        for name in names:
+            geom = self._geoms[name]
+            alone = self.graphics.silhouette(geom, T_cam_world, K, size, size)
+            whole = int(np.count_nonzero(alone))
+            fractions.append(np.count_nonzero(seen == geom) / whole if whole else 0.0)
+        return np.array(fractions)
+
     def show(self, arrangement: Arrangement) -> None:
         """Moves the bodies to an arrangement and hides those that are not part of it."""
         self._show(arrangement)
@@ -185,6 +205,7 @@ class Scene:
         self.texture_versions[textures] += 1
 
     def _show(self, arrangement: Arrangement) -> None:
+        self.arrangement = arrangement
         model, data = self.world.model, self.data
         things: dict[int, Thing] = {
             int(self._geoms[name]): thing for name, thing in arrangement.objects.items()

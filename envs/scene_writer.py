@@ -2,35 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..assets import load_objects
 from ..assets.object_model import ObjectModel
-from ..pose_estimator.bop import BopAnnotation, read_dataset, read_models_info
-from ..pose_estimator.bop_pairs import BopPair
+from ..pose_estimator.bop import BopAnnotation
 from ..pose_estimator.bop_writer import NO_BOX, BopFrame, bounding_box, write_scene
 from ..pose_estimator.geometry import (
     LINEMOD_IMAGE_SIZE,
     LINEMOD_K,
-    invert,
     project,
     transform,
 )
 from .camera import CameraRange
+from .depth_sensor import DepthSensorConfig, apply_depth_sensor
 from .randomization import Randomization
 from .renderer import SceneRenderer
-from .scene import Scene, SceneConfig
-from .sensor import apply_sensor
-from .view_spread import spread_views, viewing_angle
+from .scene import Scene, SceneConfig, SceneState
+from .scene_plan import ScenePlan, plan_scene
+from .sensor import SensorState, apply_sensor
+from .sequence import CENTRE_JITTER, draw_path
+from .view_spread import spread_views
 
 if TYPE_CHECKING:
     from .generate import GenerateConfig
-
-CENTRE_JITTER = 0.02
-"""Standard deviation in metres of the point that the further views go round, beside the target."""
 
 
 class SceneMaker:
@@ -51,11 +49,7 @@ class SceneMaker:
         """Renders scene ``scene_id`` and writes its folder."""
         config = self._config
         rng = np.random.default_rng(np.random.SeedSequence([config.seed, scene_id]))
-        names = tuple(self._objects)
-        kind = config.scene
-        if kind == "mixed":
-            kind = ("linemod", "occlusion")[scene_id // len(names) % 2]
-        frames = self._frames(kind, names[scene_id % len(names)], rng)
+        frames = self._frames(plan_scene(config, scene_id, tuple(self._objects)), rng)
         write_scene(config.out, config.split, scene_id, frames, config.jpeg_quality or None)
 
     def close(self) -> None:
@@ -77,17 +71,16 @@ class SceneMaker:
             self._renderers[kind] = scene, renderer
         return self._renderers[kind]
 
-    def _frames(self, kind: str, target: str, rng: np.random.Generator) -> Iterator[BopFrame]:
+    def _frames(self, plan: ScenePlan, rng: np.random.Generator) -> Iterator[BopFrame]:
         config, randomization = self._config, self._randomization
-        scene, renderer = self._world(kind)
-        state = scene.reset(rng, target)
-        cameras = CameraRange(
-            roll=randomization.camera_roll, look_at_noise=randomization.look_at_noise
-        )
-        centre = state.T_world_obj[target][:3, 3] + rng.normal(0.0, CENTRE_JITTER, 3)
-        low, high = np.deg2rad(config.view_angles)
-        views = spread_views(rng, state.T_cam_world, centre, config.views - 1, (low, high), cameras)
-        for T_cam_world in (state.T_cam_world, *views):
+        scene, renderer = self._world(plan.kind)
+        (depth_rng,) = rng.spawn(1)  # its own: depth changes nothing else
+        state = scene.reset(rng, plan.target)
+        path = self._path(scene, state, plan, rng)
+        # The frames of a sequence come from one camera.
+        sensor = SensorState.draw(randomization.sensor, rng) if plan.length is not None else None
+        for image_id in plan.frames:
+            T_cam_world = path[image_id]
             frame = renderer.render(T_cam_world, self._K, depth=config.depth, masks=True)
             assert frame.instances is not None
             annotations, masks = [], []
@@ -96,14 +89,37 @@ class SceneMaker:
                 T_cam_obj = T_cam_world @ state.T_world_obj[name]
                 annotations.append(self._annotate(scene, name, mask, T_cam_world, T_cam_obj))
                 masks.append(mask)
+            depth = frame.depth
+            if depth is not None and config.depth_noise:
+                depth = apply_depth_sensor(depth, self._K, DepthSensorConfig(), depth_rng)
+            if sensor is None:
+                rgb = apply_sensor(frame.rgb, randomization.sensor, rng)
+            else:
+                rgb = sensor.shaken(randomization.sensor, rng).take(frame.rgb, rng)
             yield BopFrame(
-                rgb=apply_sensor(frame.rgb, randomization.sensor, rng),
+                rgb=rgb,
                 K=self._K,
                 T_cam_world=T_cam_world,
                 annotations=annotations,
                 masks=masks if config.masks else None,
-                depth=frame.depth,
+                depth=depth,
+                image_id=image_id,
             )
+
+    def _path(
+        self, scene: Scene, state: SceneState, plan: ScenePlan, rng: np.random.Generator
+    ) -> Sequence[np.ndarray]:
+        """T_cam_world (4, 4) of every frame, also of those that become no picture."""
+        cameras = CameraRange(
+            roll=self._randomization.camera_roll, look_at_noise=self._randomization.look_at_noise
+        )
+        if plan.length is not None:
+            return list(draw_path(scene, rng, plan.length, cameras))
+        centre = state.T_world_obj[plan.target][:3, 3] + rng.normal(0.0, CENTRE_JITTER, 3)
+        low, high = np.deg2rad(self._config.view_angles)
+        count = self._config.views - 1
+        views = spread_views(rng, state.T_cam_world, centre, count, (low, high), cameras)
+        return [state.T_cam_world, *views]
 
     def _annotate(
         self,
@@ -164,36 +180,3 @@ def scaled_intrinsics(height: int, width: int) -> np.ndarray:
     K[[0, 1], [0, 1]] *= scale
     K[:2, 2] = scale * (K[:2, 2] + 0.5) - 0.5  # pixel centres are whole numbers
     return K
-
-
-def two_view_pairs(config: GenerateConfig) -> Iterator[BopPair]:
-    """The pairs (reference view, further view) of the written scenes, read back from the disk.
-
-    A pair is listed if the angle at the target lies within ``config.pair_angles``.
-    """
-    obj_ids = list(read_models_info(config.out))
-    dataset = read_dataset(config.out, config.split)
-    for scene_id in range(config.scenes):
-        images = dataset.scene(scene_id)
-        first = images[0]
-        target = obj_ids[scene_id % len(obj_ids)]
-        assert first.T_cam_world is not None
-        T_world_cam = invert(first.T_cam_world)
-        for image_id in range(1, config.views):
-            second = images[image_id].T_cam_world
-            assert second is not None
-            baselines = {
-                a.obj_id: np.rad2deg(
-                    viewing_angle(first.T_cam_world, second, (T_world_cam @ a.T_cam_obj)[:3, 3])
-                )
-                for a in first.annotations
-            }
-            if config.pair_angles[0] <= baselines[target] <= config.pair_angles[1]:
-                yield BopPair(
-                    scene_id=scene_id,
-                    ref_image_id=0,
-                    second_image_id=image_id,
-                    T_second_ref=second @ T_world_cam,
-                    baselines_deg=baselines,
-                    target_obj_id=target,
-                )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -51,8 +51,64 @@ class SensorConfig:
         return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
+@dataclass(frozen=True, eq=False)
+class SensorState:
+    """What one camera does to the pictures that it takes.
+
+    Attributes:
+        white: grey level that white becomes in each channel, (3,).
+        gamma: exponent of the tone curve.
+        blur: standard deviation of the Gaussian blur, pixels.
+        noise: standard deviation of the noise, grey levels.
+        jpeg_quality: 1 to 100, or None for no compression.
+    """
+
+    white: np.ndarray
+    gamma: float
+    blur: float
+    noise: float
+    jpeg_quality: int | None
+
+    @classmethod
+    def draw(cls, config: SensorConfig, rng: np.random.Generator) -> SensorState:
+        """A camera within the limits of ``config``."""
+        gain = 1.0 + rng.uniform(-config.exposure, config.exposure)
+        balance = 1.0 + config.white_balance * rng.uniform(-1.0, 1.0, 3) * (1.0, 0.0, 1.0)
+        gamma = 1.0 + rng.uniform(-config.gamma, config.gamma)
+        blur = config.blur * rng.uniform()
+        noise = config.noise * rng.uniform()
+        quality = int(rng.integers(config.jpeg_quality[0], config.jpeg_quality[1] + 1))
+        compressed = rng.uniform() < config.jpeg_probability
+        return cls(255.0 * gain * balance, gamma, blur, noise, quality if compressed else None)
+
+    def shaken(self, config: SensorConfig, rng: np.random.Generator) -> SensorState:
+        """The same camera, as sharp as it happens to be in another picture."""
+        return replace(self, blur=config.blur * rng.uniform())
+
+    def take(self, rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Degrades a picture (H, W, 3) uint8 as the camera would; returns a new one.
+
+        Raises:
+            ValueError: if the picture is not uint8 RGB.
+        """
+        image = check_image(rgb, "rgb")
+        levels = np.linspace(0.0, 1.0, 256)[:, None] ** self.gamma * self.white
+        out = cv2.LUT(image, np.clip(np.round(levels), 0, 255).astype(np.uint8)[:, None, :])
+        if self.blur > 0.2:
+            out = cv2.GaussianBlur(out, (0, 0), self.blur)
+        if self.noise > 0.3:
+            out = _add_noise(out, self.noise, rng)
+        if self.jpeg_quality is not None:
+            bgr = cv2.cvtColor(out, cv2.COLOR_RGB2BGR)
+            _, code = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, self.jpeg_quality))
+            decoded = cv2.imdecode(code, cv2.IMREAD_COLOR)
+            assert decoded is not None
+            out = cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB)
+        return out
+
+
 def apply_sensor(rgb: np.ndarray, config: SensorConfig, rng: np.random.Generator) -> np.ndarray:
-    """Degrades a picture as a camera would.
+    """Degrades a picture as a camera would that is drawn for it alone.
 
     Args:
         rgb: (H, W, 3) uint8.
@@ -65,27 +121,7 @@ def apply_sensor(rgb: np.ndarray, config: SensorConfig, rng: np.random.Generator
     Raises:
         ValueError: if the picture is not uint8 RGB.
     """
-    image = check_image(rgb, "rgb")
-    gain = 1.0 + rng.uniform(-config.exposure, config.exposure)
-    balance = 1.0 + config.white_balance * rng.uniform(-1.0, 1.0, 3) * (1.0, 0.0, 1.0)
-    gamma = 1.0 + rng.uniform(-config.gamma, config.gamma)
-    sigma = config.blur * rng.uniform()
-    noise = config.noise * rng.uniform()
-    quality = int(rng.integers(config.jpeg_quality[0], config.jpeg_quality[1] + 1))
-    compress = rng.uniform() < config.jpeg_probability
-    levels = np.linspace(0.0, 1.0, 256)[:, None] ** gamma * (255.0 * gain * balance)
-    out = cv2.LUT(image, np.clip(np.round(levels), 0, 255).astype(np.uint8)[:, None, :])
-    if sigma > 0.2:
-        out = cv2.GaussianBlur(out, (0, 0), sigma)
-    if noise > 0.3:
-        out = _add_noise(out, noise, rng)
-    if compress:
-        bgr = cv2.cvtColor(out, cv2.COLOR_RGB2BGR)
-        _, code = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, quality))
-        decoded = cv2.imdecode(code, cv2.IMREAD_COLOR)
-        assert decoded is not None
-        out = cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB)
-    return out
+    return SensorState.draw(config, rng).take(rgb, rng)
 
 
 def _add_noise(image: np.ndarray, sigma: float, rng: np.random.Generator) -> np.ndarray:

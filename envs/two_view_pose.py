@@ -129,8 +129,8 @@ class TwoViewPoseEnv(ViewSelectionEnv):
     |-----------------|--------------|--------------------------------------------------------|
     | `objects`       | None         | names, mesh files or a folder of them, or a dict of    |
     |                 |              | `ObjectModel`; None: LineMOD's thirteen                |
-    | `scene`         | `"linemod"`  | `"linemod"` (light clutter), `"occlusion"` (heavy), or |
-    |                 |              | a `SceneConfig`                                        |
+    | `scene`         | `"linemod"`  | `"linemod"` (light clutter), `"occlusion"` (heavy),    |
+    |                 |              | `"heap"` (eight close together), or a `SceneConfig`    |
     | `estimator`     | `"mid"`      | whose shipped weights are loaded (`"mid"`,             |
     |                 |              | `"single"`); or your own object with                   |
     |                 |              | `estimate(views, object_name)`; or None: rendering     |

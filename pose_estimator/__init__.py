@@ -8,30 +8,71 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .single_view import SingleViewEstimator
 
-METHODS = ("single", "mid")
+METHODS = ("single", "early", "late", "mid", "rgbd")
 """Names of the estimators that :func:`load` knows."""
 
+NEEDED_PARTS = {"early": "cascade", "rgbd": "points"}
+"""Networks that only one method uses, and that weights may therefore lack."""
 
-def load(method: str = "mid", weights: str | Path = "linemod") -> SingleViewEstimator:
+
+def load(
+    method: str = "mid",
+    weights: str | Path = "linemod",
+    *,
+    preset: str | None = None,
+    solver: str = "soft",
+) -> SingleViewEstimator:
     """Loads an estimator with trained weights.
 
     Args:
-        method: ``single`` (one view) or ``mid`` (Mid-Fusion of two views).
+        method: ``single`` (one view), ``early`` (a depth map from two views), ``late``
+            (triangulated votes), ``mid`` (Mid-Fusion of two views) or ``rgbd`` (one view and a
+            depth sensor).
         weights: name of shipped weights, or a path to a ``.safetensors`` file.
+        preset: of the volumes, ``fast`` or ``paper``, where it has to be a certain one; None takes
+            what the weights were trained for.
+        solver: from 3D keypoints to the pose, one of ``solvers.SOLVERS``.
 
     Returns:
         An object with ``estimate(views, object_name)`` and ``object_names``.
 
     Raises:
-        ValueError: if the method is unknown or the weights are damaged.
+        ValueError: if the method, preset or solver is unknown, or the weights are damaged, were
+            trained for another preset, or lack what the method needs.
         FileNotFoundError: if there are no such weights.
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; there are {', '.join(METHODS)}")
     # These import torch, which the rest of the package must not do.
+    from .early_fusion import EarlyFusionEstimator
+    from .late_fusion import LateFusionEstimator
     from .mid_fusion import MidFusionEstimator
+    from .rgbd import RgbdEstimator
     from .single_view import SingleViewEstimator
+    from .volume import PRESETS
     from .weights import load_networks
 
-    estimators = {"single": SingleViewEstimator, "mid": MidFusionEstimator}
-    return estimators[method](load_networks(weights))
+    estimators = {
+        "single": SingleViewEstimator,
+        "early": EarlyFusionEstimator,
+        "late": LateFusionEstimator,
+        "mid": MidFusionEstimator,
+        "rgbd": RgbdEstimator,
+    }
+    if preset is not None and preset not in PRESETS:
+        raise ValueError(f"unknown preset {preset!r}; there are {', '.join(PRESETS)}")
+    networks = load_networks(weights)
+    if preset not in (None, networks.config.preset):
+        raise ValueError(
+            f"the weights {str(weights)!r} were trained for the preset "
+            f"{networks.config.preset!r}, not {preset!r}. Train some that are: "
+            f"python -m two_view_pose train-estimator --preset {preset} --data DIR --out DIR"
+        )
+    part = NEEDED_PARTS.get(method)
+    if part is not None and part not in networks.trained:
+        raise ValueError(
+            f"the weights {str(weights)!r} lack what {method!r} needs, the trained part {part!r}. "
+            "Add it, with a dataset that was generated with --depth: python -m two_view_pose "
+            f"train-estimator --stages {part} --init {weights} --data DIR --out DIR"
+        )
+    return estimators[method](networks, solver)

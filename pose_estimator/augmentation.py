@@ -21,7 +21,7 @@ class AugmentationConfig:
         white_balance: standard deviation of the logarithm of each channel's gain.
         noise: largest standard deviation of the pixel noise, in levels.
         blur: probability of a slight blur.
-        erase: probability that a random box hides a part.
+        erase: probability that a random box hides a part of the picture.
     """
 
     shift: float = 0.04
@@ -56,6 +56,34 @@ def jitter_affine(
     return np.array([[cosine, -sine, shift[0]], [sine, cosine, shift[1]], [0, 0, 1.0]])
 
 
+def erase_box(
+    config: AugmentationConfig,
+    rng: np.random.Generator,
+    picture: np.ndarray,
+    mask: np.ndarray | None = None,
+    depth: np.ndarray | None = None,
+) -> None:
+    """Sometimes hides a random box, in place.
+
+    Args:
+        config: how often.
+        rng: source of randomness.
+        picture: RGB uint8 (H, W, 3); the box gets one colour.
+        mask: of what is visible, (H, W) uint8; nothing is within the box.
+        depth: metres (H, W); unknown (0) within the box.
+    """
+    if rng.random() >= config.erase:
+        return
+    height, width = picture.shape[:2]
+    h, w = (rng.uniform(0.1, 0.35, 2) * (height, width)).astype(int)
+    y, x = rng.integers(0, height - h), rng.integers(0, width - w)
+    box = slice(y, y + h), slice(x, x + w)
+    picture[box] = rng.integers(0, 256, 3)
+    for hidden in (mask, depth):
+        if hidden is not None:
+            hidden[box] = 0
+
+
 def augment_colours(
     picture: np.ndarray, config: AugmentationConfig, rng: np.random.Generator
 ) -> np.ndarray:
@@ -68,11 +96,6 @@ def augment_colours(
     out = cv2.LUT(picture, np.ascontiguousarray(table[:, None, :].reshape(1, 256, 3)))
     if rng.random() < config.blur:
         out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.4, 1.2))
-    if rng.random() < config.erase:
-        height, width = out.shape[:2]
-        h, w = (rng.uniform(0.1, 0.35, 2) * (height, width)).astype(int)
-        y, x = rng.integers(0, height - h), rng.integers(0, width - w)
-        out[y : y + h, x : x + w] = rng.integers(0, 256, 3)
     sigma = rng.uniform(0, config.noise)
     if sigma > 1:
         noise = np.empty(out.shape, np.int16)

@@ -24,6 +24,7 @@ class BopPair:
         baselines_deg: for each object that stood still, the angle in degrees between the two rays
             from it to the cameras.
         target_obj_id: the object that the pair was made for, or None.
+        gap: frames from one to the other where both belong to one sequence, or None.
     """
 
     scene_id: int
@@ -32,6 +33,7 @@ class BopPair:
     T_second_ref: np.ndarray
     baselines_deg: Mapping[int, float] = field(default_factory=dict)
     target_obj_id: int | None = None
+    gap: int | None = None
 
     @property
     def obj_ids(self) -> tuple[int, ...]:
@@ -75,6 +77,7 @@ def read_pairs(path: str | Path) -> tuple[BopPair, ...]:
             T_second_ref=T,
             baselines_deg=_baselines(required(entry, "baselines_deg", place), place),
             target_obj_id=entry.get("target_obj_id"),
+            gap=_gap(entry, place),
         )
         for entry, place, T in zip(content, places, moves, strict=True)
     )
@@ -99,9 +102,20 @@ def _read_worldless(content: Mapping[str, Any], path: str) -> tuple[BopPair, ...
                 baselines_deg=_baselines(
                     {k: required(v, "baseline_deg", place) for k, v in objects.items()}, place
                 ),
+                gap=_gap(entry, place),
             )
         )
     return tuple(found)
+
+
+def _gap(entry: Mapping[str, Any], where: str) -> int | None:
+    """The optional field ``gap``."""
+    gap = entry.get("gap")
+    if gap is None:
+        return None
+    if isinstance(gap, bool) or not isinstance(gap, int) or gap < 1:
+        raise ValueError(f"{where}: field 'gap' must be an integer of at least 1, got {gap!r}")
+    return gap
 
 
 def _baselines(entry: Mapping[str, Any], where: str) -> dict[int, float]:

@@ -42,6 +42,7 @@ class BopFrame:
         annotations: the objects; ``mask_visib_path`` is ignored.
         masks: bool (H, W) masks of the visible pixels in the annotations' order, or None.
         depth: metres, float (H, W), 0 where there is none; or None.
+        image_id: its number in the scene; None takes its place among the frames.
     """
 
     rgb: np.ndarray
@@ -50,6 +51,7 @@ class BopFrame:
     annotations: Sequence[BopAnnotation]
     masks: Sequence[np.ndarray] | None = None
     depth: np.ndarray | None = None
+    image_id: int | None = None
 
 
 def scene_folder(root: str | Path, split: str, scene_id: int) -> Path:
@@ -64,7 +66,7 @@ def write_scene(
     frames: Iterable[BopFrame],
     jpeg_quality: int | None = 92,
 ) -> Path:
-    """Writes one scene; the frames get the image ids 0, 1, ... in their order.
+    """Writes one scene; frames that do not say their image ids get 0, 1, ... in their order.
 
     Args:
         root: the dataset's folder, made where missing.
@@ -77,8 +79,8 @@ def write_scene(
         The scene's folder.
 
     Raises:
-        ValueError: if the scene exists, or a frame holds NaN, a wrong shape, or masks that do not
-            match its annotations.
+        ValueError: if the scene exists, two frames share an image id, or a frame holds NaN, a wrong
+            shape, or masks that do not match its annotations.
     """
     final = scene_folder(root, split, scene_id)
     if final.exists():
@@ -87,8 +89,11 @@ def write_scene(
     shutil.rmtree(partial, ignore_errors=True)
     (partial / "rgb").mkdir(parents=True)
     cameras, poses, infos = {}, {}, {}
-    for image_id, frame in enumerate(frames):
+    for place, frame in enumerate(frames):
+        image_id = place if frame.image_id is None else frame.image_id
         name = f"scene {scene_id}, image {image_id}"
+        if str(image_id) in cameras:
+            raise ValueError(f"{name} is there twice")
         _write_pixels(partial, image_id, frame, jpeg_quality, name)
         cameras[str(image_id)] = _camera_entry(frame, name)
         poses[str(image_id)] = [_pose_entry(a, name) for a in frame.annotations]
@@ -135,8 +140,9 @@ def write_pairs(path: str | Path, pairs: Iterable[BopPair]) -> None:
     """Writes two-view pairs as a JSON list, in a form like BOP's scene files.
 
     Each entry: ``scene_id``, ``ref_image_id``, ``second_image_id``, ``target_obj_id``,
-    ``baseline_deg`` (at the target), ``baselines_deg`` (obj_id -> degrees), ``cam_R_ref2second``
-    (9 numbers, row by row), ``cam_t_ref2second`` (millimetres).
+    ``gap`` (frames between, where both are of one sequence), ``baseline_deg`` (at the target),
+    ``baselines_deg`` (obj_id -> degrees), ``cam_R_ref2second`` (9 numbers, row by row),
+    ``cam_t_ref2second`` (millimetres).
     """
     entries = []
     for pair in pairs:
@@ -147,6 +153,7 @@ def write_pairs(path: str | Path, pairs: Iterable[BopPair]) -> None:
                 "ref_image_id": pair.ref_image_id,
                 "second_image_id": pair.second_image_id,
                 "target_obj_id": pair.target_obj_id,
+                **({} if pair.gap is None else {"gap": int(pair.gap)}),
                 "baseline_deg": pair.baseline_deg,
                 "baselines_deg": {str(k): float(v) for k, v in pair.baselines_deg.items()},
                 "cam_R_ref2second": T[:3, :3].ravel().tolist(),

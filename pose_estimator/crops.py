@@ -7,6 +7,7 @@ and a PNG of its visible mask, and for each picture a JPEG at the detector's siz
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -21,7 +22,7 @@ import numpy as np
 from tqdm import tqdm
 
 from ..assets.object_model import ObjectModel
-from .bop import BopImage, read_dataset, read_mask, read_rgb
+from .bop import BopImage, read_dataset, read_depth, read_mask, read_rgb
 from .detector import DetectorConfig, detector_input
 from .geometry import crop_matrix, project
 
@@ -31,7 +32,10 @@ STORED_SIDE = 192
 STORED_SCALE = 2.1
 """Side of a stored crop in object diameters: room for shifts, scales and turns around 1.4."""
 
-_FORMAT = 3
+DEPTH_STEP = 1e-4
+"""Metres for each step of a stored depth crop (uint16)."""
+
+_FORMAT = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +46,8 @@ class CropPack:
         object_names: the objects, in the order of ``object_index``.
         crops: all encoded crops and masks, uint8 bytes.
         frames: all encoded small frames, uint8 bytes.
-        spans: (T, 4) begin and end of a target's crop and of its mask in ``crops``.
+        spans: (T, 6) begin and end of a target's crop, of its mask and of its depth in ``crops``;
+            a depth of no bytes where the dataset has none.
         frame_spans: (F, 2) begin and end in ``frames``.
         object_index: (T,) which object.
         frame_index: (T,) which frame.
@@ -78,8 +83,16 @@ class CropPack:
 
     def mask(self, target: int) -> np.ndarray:
         """The stored visible mask of a target, uint8 0 or 255 (192, 192)."""
-        begin, end = self.spans[target, 2:]
+        begin, end = self.spans[target, 2:4]
         return _decode(self.crops[begin:end], cv2.IMREAD_GRAYSCALE)
+
+    def depth(self, target: int) -> np.ndarray | None:
+        """The stored depth of a target's whole crop, float32 (192, 192) metres along the camera's
+        z, 0 = unknown; None where the dataset has no depth maps."""
+        begin, end = self.spans[target, 4:]
+        if begin == end:
+            return None
+        return _decode(self.crops[begin:end], cv2.IMREAD_UNCHANGED) * np.float32(DEPTH_STEP)
 
     def frame(self, index: int) -> np.ndarray:
         """A frame at the detector's size, RGB uint8 (240, 320, 3)."""
@@ -105,6 +118,8 @@ def pack_dataset(
 ) -> CropPack:
     """Packs a dataset beside itself, or opens the pack that is there.
 
+    It is packed anew if the number of scenes, the objects, or their sizes or keypoints changed.
+
     Args:
         root: the BOP dataset.
         objects: what to pack, by name; the order becomes ``object_index``.
@@ -122,6 +137,7 @@ def pack_dataset(
         "objects": list(objects),
         "minimum_visibility": minimum_visibility,
         "scenes": len(read_dataset(root, split).scene_ids),
+        "models": {name: _fingerprint(model) for name, model in objects.items()},
     }
     if not _is_packed(folder, header):
         _pack(root, split, folder, objects, minimum_visibility, workers)
@@ -136,6 +152,16 @@ def pack_dataset(
         frames=np.memmap(folder / "frames.bin", np.uint8, "r"),
         **arrays,
     )
+
+
+def _fingerprint(model: ObjectModel) -> dict[str, Any]:
+    """What crops and labels take from a model, so that another model is told from it."""
+    micrometres = np.round(model.keypoints * 1e6).astype("<i8")
+    return {
+        "obj_id": model.obj_id,
+        "diameter": round(model.diameter, 6),
+        "keypoints": hashlib.sha256(micrometres.tobytes()).hexdigest(),
+    }
 
 
 def _is_packed(folder: Path, header: dict) -> bool:
@@ -188,12 +214,12 @@ def _pack(
                 for name in ("scene_id", "K", "T_cam_world", "frame_to_image"):
                     _append(rows, name, frame[name])
                 for target in frame["targets"]:
-                    crop_file.write(target["jpeg"])
-                    crop_file.write(target["png"])
-                    middle = crop_end + len(target["jpeg"])
-                    end = middle + len(target["png"])
-                    _append(rows, "spans", (crop_end, middle, middle, end))
-                    crop_end = end
+                    ends = [crop_end]
+                    for part in ("jpeg", "png", "depth"):
+                        crop_file.write(target[part])
+                        ends.append(ends[-1] + len(target[part]))
+                    _append(rows, "spans", np.repeat(ends, 2)[1:-1])
+                    crop_end = ends[-1]
                     _append(rows, "frame_index", frames)
                     for name in ("object_index", "T_cam_obj", "visibility", "to_stored"):
                         _append(rows, name, target[name])
@@ -224,6 +250,7 @@ def _pack_scenes(job: _Job) -> list[dict]:
 def _pack_image(image: BopImage, job: _Job) -> dict:
     rgb = read_rgb(image)
     small, to_image = detector_input(rgb, DetectorConfig())
+    depth = read_depth(image) if image.depth_path is not None else None
     targets = []
     for annotation in image.annotations:
         if annotation.obj_id not in job.numbers or annotation.visibility < job.minimum_visibility:
@@ -236,6 +263,7 @@ def _pack_image(image: BopImage, job: _Job) -> dict:
             {
                 "jpeg": _encode(".jpg", warp_crop(rgb, affine, STORED_SIDE)),
                 "png": _encode(".png", warp_crop(mask, affine, STORED_SIDE)),
+                "depth": b"" if depth is None else _encode(".png", depth_crop(depth, affine)),
                 "object_index": job.numbers[annotation.obj_id],
                 "T_cam_obj": T,
                 "visibility": annotation.visibility,
@@ -250,6 +278,17 @@ def _pack_image(image: BopImage, job: _Job) -> dict:
         "frame_to_image": to_image,
         "targets": targets,
     }
+
+
+def depth_crop(depth: np.ndarray, affine: np.ndarray) -> np.ndarray:
+    """Cuts a depth map (H, W) in metres like :func:`warp_crop`, without mixing depths.
+
+    Returns:
+        (192, 192) uint16 in steps of ``DEPTH_STEP``, 0 = unknown.
+    """
+    steps = np.clip(depth / DEPTH_STEP, 0, 65535).round().astype(np.uint16)
+    size = (STORED_SIDE, STORED_SIDE)
+    return cv2.warpAffine(steps, affine[:2], size, flags=cv2.INTER_NEAREST)
 
 
 def _encode(kind: str, picture: np.ndarray) -> bytes:

@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from ..assets.object_model import ObjectModel
-from .augmentation import AugmentationConfig, augment_colours, jitter_affine
+from .augmentation import AugmentationConfig, augment_colours, erase_box, jitter_affine
 from .crops import STORED_SCALE, STORED_SIDE, CropPack
+from .cut_and_paste import CropPaster, CutAndPasteConfig
 from .detector import DetectorConfig, detection_targets
 from .features import FeatureConfig
 from .geometry import invert, project
@@ -34,6 +35,8 @@ class TargetSample:
         object_index: which object.
         K: (3, 3) camera of the crop (any affine of the true one, turned and shifted).
         T_cam_obj: (4, 4) the pose that is trained.
+        depth: (S, S) float32 metres along the camera's z, of all that the crop shows, 0 = unknown;
+            None where the dataset has no depth maps.
     """
 
     crop: np.ndarray
@@ -42,6 +45,7 @@ class TargetSample:
     object_index: int
     K: np.ndarray
     T_cam_obj: np.ndarray
+    depth: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,9 @@ class SamplingConfig:
         """The weight (T,) of each target."""
         T_world_cam = invert(pack.T_cam_world[pack.frame_index])
         up = np.einsum("ti,ti->t", T_world_cam[:, 2, :3], pack.T_cam_obj[:, :3, 2])
-        weights = np.where(up > np.cos(np.radians(10)), 1.0, self.tilted)
+        # Of a picture whose place in the world is not known nobody can say what leans.
+        no_world = (T_world_cam == np.eye(4)).all((1, 2))
+        weights = np.where((up > np.cos(np.radians(10))) | no_world, 1.0, self.tilted)
         return weights * np.where(pack.visibility < 0.3, self.hidden, 1.0)
 
 
@@ -76,6 +82,11 @@ class TrainingSet:
         sampling: which targets to prefer.
         validation: fraction of the scenes (the last ones) that is kept for validation.
         held_out: draw from the validation scenes instead of the training scenes.
+        cut_and_paste: how often pieces of other crops are pasted; None never.
+
+    Raises:
+        ValueError: if there are too few scenes to train on some and validate on others, or there is
+            nothing to paste.
     """
 
     def __init__(
@@ -88,18 +99,29 @@ class TrainingSet:
         sampling: SamplingConfig = SamplingConfig(),
         validation: float = 0.03,
         held_out: bool = False,
+        cut_and_paste: CutAndPasteConfig | None = None,
     ):
         self.pack = pack
         self.models = list(objects.values())
         self.features = features
         self.augmentation = augmentation
         scenes = np.unique(pack.scene_id)
-        first_held_out = scenes[len(scenes) - max(1, round(validation * len(scenes)))]
+        kept = max(1, round(validation * len(scenes)))
+        if kept >= len(scenes):
+            raise ValueError(
+                f"the dataset has {len(scenes)} scene{'s' * (len(scenes) > 1)}, and {kept} of them "
+                "would be kept for validation: nothing would be left to train on. Generate more "
+                "scenes (2 at least), or lower --validation"
+            )
+        first_held_out = scenes[len(scenes) - kept]
         self.frames = np.flatnonzero((pack.scene_id >= first_held_out) == held_out)
         self.targets = np.flatnonzero(np.isin(pack.frame_index, self.frames))
         index = pack.object_index[self.targets]
         self.by_object = [self.targets[index == k] for k in range(len(self.models))]
         self.known = [k for k, targets in enumerate(self.by_object) if len(targets)]
+        self._paster = (
+            None if cut_and_paste is None else CropPaster(pack, self.targets, cut_and_paste)
+        )
         weights = sampling.weights(pack)
         self._weights = [_normalised(weights[targets]) for targets in self.by_object]
         self._pairs = self._find_pairs()
@@ -125,7 +147,7 @@ class TrainingSet:
         pack, config = self.pack, self.features
         size = config.crop
         zoom = STORED_SCALE / config.roi_scale * size / STORED_SIDE
-        crop, mask = pack.crop(target), pack.mask(target)
+        crop, mask, depth = pack.crop(target), pack.mask(target), pack.depth(target)
         if self.augmentation is None:
             around = np.diag([zoom, zoom, 1.0])
         else:
@@ -140,10 +162,15 @@ class TrainingSet:
             borderValue=(127, 127, 127),
         )
         mask = cv2.warpAffine(mask, affine[:2], (size, size), flags=cv2.INTER_LINEAR)
-        mask = cv2.resize(mask, (config.grid, config.grid), interpolation=cv2.INTER_AREA)
-        if self.augmentation is not None:
-            crop = augment_colours(crop, self.augmentation, rng)
+        if depth is not None:
+            depth = cv2.warpAffine(depth, affine[:2], (size, size), flags=cv2.INTER_NEAREST)
         index = int(pack.object_index[target])
+        if self._paster is not None:
+            crop, mask, depth = self._paster.paste(crop, mask, depth, index, rng)
+        if self.augmentation is not None:
+            erase_box(self.augmentation, rng, crop, mask, depth)
+            crop = augment_colours(crop, self.augmentation, rng)
+        mask = cv2.resize(mask, (config.grid, config.grid), interpolation=cv2.INTER_AREA)
         model = self.models[index]
         K = affine @ pack.to_stored[target] @ pack.K[pack.frame_index[target]]
         T = canonical_pose(pack.T_cam_obj[target], model.symmetries)
@@ -155,6 +182,7 @@ class TrainingSet:
             object_index=index,
             K=K,
             T_cam_obj=T,
+            depth=depth,
         )
 
     def draw_target(self, rng: np.random.Generator) -> TargetSample:
@@ -163,7 +191,16 @@ class TrainingSet:
         return self.target(int(rng.choice(self.by_object[index], p=self._weights[index])), rng)
 
     def draw_pair(self, rng: np.random.Generator) -> tuple[TargetSample, TargetSample, np.ndarray]:
-        """Two views of one object: samples and T_second_ref (4, 4); the reference view first."""
+        """Two views of one object: samples and T_second_ref (4, 4); the reference view first.
+
+        Raises:
+            ValueError: if no scene shows an object in two pictures.
+        """
+        if not any(self._pairs):
+            raise ValueError(
+                "no scene of the dataset shows an object in two pictures, and two views are "
+                "trained: generate --views 2 at least"
+            )
         index = rng.choice([k for k in self.known if self._pairs[k]])
         groups = self._pairs[index]
         group = groups[rng.choice(len(groups), p=self._pair_weights[index])]
@@ -197,6 +234,7 @@ class TrainingSet:
                 borderMode=cv2.BORDER_CONSTANT,
                 borderValue=(127, 127, 127),
             )
+            erase_box(self.augmentation, rng, picture)
             picture = augment_colours(picture, self.augmentation, rng)
         K = moved @ to_small @ pack.K[frame]
         count = len(self.models)

@@ -24,6 +24,9 @@ _STAGES = (
 )
 _BATCH_NORM_EPSILON = 1e-3
 
+PYRAMID_CHANNELS = (16, 24, 40, 112, 192)
+"""Channels of the feature maps at strides 2, 4, 8, 16 and 32."""
+
 
 class SameConv(nn.Conv2d):
     """A convolution padded as TensorFlow pads ("same"): one pixel more on the right and below."""
@@ -94,11 +97,15 @@ class Encoder(nn.Module):
             Feature maps at strides 4, 8, 16 (and 32 with six stages), with ``self.channels``
             channels.
         """
+        return self.pyramid(pictures)[1:]
+
+    def pyramid(self, pictures: Tensor) -> list[Tensor]:
+        """As :meth:`forward`, with the map at stride 2 before the others (PYRAMID_CHANNELS)."""
         x = F.relu6(self.stem((pictures - 127.0) / 128.0))
         outputs = []
         for index, stage in enumerate(self.stages):
             x = stage(x)
-            if index in (1, 2, 4, 5):
+            if index in (0, 1, 2, 4, 5):
                 outputs.append(x)
         return outputs
 

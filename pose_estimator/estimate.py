@@ -6,6 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .geometry import project
+
+_NEAREST = 0.1
+"""Least depth in metres at which a region of interest is placed."""
+
 
 @dataclass(frozen=True, eq=False)
 class Roi:
@@ -20,6 +25,23 @@ class Roi:
     centre: np.ndarray
     side: float
     score: float
+
+
+def roi_of_pose(
+    T_cam_obj: np.ndarray, K: np.ndarray, diameter: float, scale: float, score: float = 1.0
+) -> Roi:
+    """The region of interest that an object in a known pose would have.
+
+    Args:
+        T_cam_obj: (4, 4), metres; one behind the camera is taken to be near it.
+        K: camera matrix, (3, 3).
+        diameter: of the object, metres.
+        scale: side of the region in diameters.
+        score: as the attribute of :class:`Roi`.
+    """
+    depth = max(float(T_cam_obj[2, 3]), _NEAREST)
+    centre = project(np.array([T_cam_obj[0, 3], T_cam_obj[1, 3], depth]), K)
+    return Roi(centre=centre, side=scale * diameter * K[0, 0] / depth, score=score)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,17 +11,21 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from ..assets.object_model import ObjectModel
-from .bop import BopDataset, BopPair, read_dataset, read_pairs, read_rgb
-from .estimate import PoseEstimate
+from .bop import BopDataset, BopPair, read_dataset, read_depth, read_pairs, read_rgb
+from .estimate import PoseEstimate, Roi, roi_of_pose
 from .geometry import View
-from .metrics import add_or_add_s, bootstrap_interval
+from .metrics import add_or_add_s
+from .outcomes import Outcome, print_table, summarise
 
 
 class _Estimator(Protocol):
     @property
     def object_names(self) -> tuple[str, ...]: ...
 
-    def estimate(self, views: Sequence[View], object_name: str) -> PoseEstimate: ...
+    # It is given regions of interest only where ``truth_roi_scale`` says so.
+    def estimate(
+        self, views: Sequence[View], object_name: str, rois: Sequence[Roi] | None = None
+    ) -> PoseEstimate: ...
 
 
 @dataclass(frozen=True)
@@ -29,13 +33,21 @@ class EvaluateConfig:
     """Measures an estimator: ADD(-S) below a tenth of the diameter, per object and in the mean.
 
     Either on fresh scenes of ours (--scene, rendered first), or on a BOP dataset (--data). The
-    estimator gets full frames, the camera matrix, the relative camera pose and the object's name.
+    estimator gets full frames, the camera matrix, the relative camera pose and the object's name;
+    `rgbd` also gets the depth sensor's maps.
     """
 
     method: str = "mid"
-    """`single` or `mid`."""
+    """`single`, `early`, `late`, `mid` or `rgbd`."""
     weights: str = "linemod"
     """Name of shipped weights, or a .safetensors file."""
+    preset: Literal["fast", "paper"] | None = None
+    """Preset of the volumes that the weights must have been trained for: `fast` or `paper`."""
+    solver: Literal["soft", "kabsch", "hard"] = "soft"
+    """From 3D keypoints to the pose: `soft` (Soft RANSAC), `kabsch` or `hard` (RANSAC)."""
+    roi: Literal["detector", "truth"] = "detector"
+    """Where the estimator looks first. `truth` is for analysis only: it tells the estimator the
+    true region of the object, and so leaves the detector's errors out."""
     scene: Literal["linemod", "occlusion"] = "linemod"
     """Kind of our scenes."""
     scenes: int = 520
@@ -54,29 +66,6 @@ class EvaluateConfig:
     """Threads of the networks; 0 = as many as there are cores."""
     json: Path | None = None
     """Write the figures as a results file."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """One pair of views, estimated.
-
-    Attributes:
-        object_name: the target.
-        error: ADD, or ADD-S for symmetric objects, in diameters.
-        keypoint_distance: mean distance of the 3D keypoints from the truth, m.
-        seconds: that the estimate took.
-        baseline: angle between the views as seen from the object, degrees.
-        visibility: of the target in the reference view, 0 to 1.
-        score: the detector's, in the reference view.
-    """
-
-    object_name: str
-    error: float
-    keypoint_distance: float
-    seconds: float
-    baseline: float
-    visibility: float
-    score: float
 
 
 def target_pairs(
@@ -98,6 +87,8 @@ def evaluate_pairs(
     objects: Mapping[str, ObjectModel],
     *,
     views: int = 2,
+    depth: bool = False,
+    truth_roi_scale: float | None = None,
     progress: bool = True,
 ) -> list[Outcome]:
     """Runs an estimator on pairs of views.
@@ -108,10 +99,16 @@ def evaluate_pairs(
         pairs: see :func:`target_pairs`.
         objects: the models.
         views: 1 leaves the second view out.
+        depth: whether the estimator is given depth maps.
+        truth_roi_scale: for analyses only: the estimator is told the true regions of interest, so
+            many diameters wide. None leaves it to find the object.
         progress: whether to show a bar.
 
     Returns:
         One outcome for each pair and target that both pictures are annotated with.
+
+    Raises:
+        ValueError: if ``depth`` is asked for and the dataset has none.
     """
     from tqdm import tqdm
 
@@ -123,14 +120,30 @@ def evaluate_pairs(
             scene_id, scene = pair.scene_id, dataset.scene(pair.scene_id)
         model = objects[name]
         reference, second = scene[pair.ref_image_id], scene[pair.second_image_id]
-        truth = reference.annotation(model.obj_id)
-        if truth is None or second.annotation(model.obj_id) is None:
+        truth, truth_second = (image.annotation(model.obj_id) for image in (reference, second))
+        if truth is None or truth_second is None:
             continue
-        given = [View(read_rgb(reference), reference.K, np.eye(4))]
-        if views > 1:
-            given.append(View(read_rgb(second), second.K, pair.T_second_ref))
+        if depth and reference.depth_path is None:
+            raise ValueError(
+                f"{dataset.root} has no depth maps, which the estimator needs: generate it anew "
+                "with --depth"
+            )
+        cameras = [(reference, np.eye(4)), (second, pair.T_second_ref)][:views]
+        given = [
+            View(read_rgb(image), image.K, T, read_depth(image) if depth else None)
+            for image, T in cameras
+        ]
+        told: tuple[list[Roi], ...] = ()
+        if truth_roi_scale is not None:
+            poses = (truth.T_cam_obj, truth_second.T_cam_obj)[:views]
+            told = (
+                [
+                    roi_of_pose(T, view.K, model.diameter, truth_roi_scale)
+                    for T, view in zip(poses, given, strict=True)
+                ],
+            )
         start = time.perf_counter()
-        estimate = estimator.estimate(given, name)
+        estimate = estimator.estimate(given, name, *told)
         seconds = time.perf_counter() - start
         error = add_or_add_s(estimate.T_cam_obj, truth.T_cam_obj, model) / model.diameter
         outcomes.append(
@@ -142,6 +155,7 @@ def evaluate_pairs(
                 baseline=float(pair.baselines_deg.get(model.obj_id, pair.baseline_deg)),
                 visibility=truth.visibility,
                 score=estimate.rois[0].score if estimate.rois else 1.0,
+                gap=pair.gap,
             )
         )
     return outcomes
@@ -157,81 +171,6 @@ def distance_of_keypoints(keypoints: np.ndarray, T_true: np.ndarray, model: Obje
     return float(min(distances))
 
 
-def summarise(outcomes: Sequence[Outcome], tags: Mapping[str, Any], seed: int = 0) -> list[dict]:
-    """Records of the results file: each figure for each object, and the mean over the objects."""
-    if not outcomes:
-        raise ValueError("there is no pair of views with a target to evaluate")
-    rng = np.random.default_rng(seed)
-    names = list(dict.fromkeys(outcome.object_name for outcome in outcomes))
-    figures = {
-        "add_s_recall": ("", lambda group: [float(o.error < 0.1) for o in group]),
-        "add_over_diameter": ("", lambda group: [min(o.error, 1.0) for o in group]),
-        "keypoint_distance": ("m", lambda group: [o.keypoint_distance for o in group]),
-    }
-    records: list[dict] = []
-    for metric, (unit, values_of) in figures.items():
-        by_object = {
-            name: np.array(values_of([o for o in outcomes if o.object_name == name]))
-            for name in names
-        }
-        for name, values in by_object.items():
-            low, high = bootstrap_interval(values, rng)
-            records.append(
-                {"metric": metric, "value": float(values.mean()), "unit": unit, "object": name,
-                 "low": low, "high": high, "n": len(values), **tags}
-            )  # fmt: skip
-        mean = float(np.mean([values.mean() for values in by_object.values()]))
-        low, high = _interval_of_mean(list(by_object.values()), rng)
-        records.append(
-            {"metric": metric, "value": mean, "unit": unit, "object": "mean",
-             "low": low, "high": high, "n": len(outcomes), **tags}
-        )  # fmt: skip
-    seconds = float(np.median([o.seconds for o in outcomes]))
-    records.append({"metric": "seconds_per_pair", "value": seconds, "unit": "s", **tags})
-    return records
-
-
-def _interval_of_mean(
-    groups: Sequence[np.ndarray], rng: np.random.Generator, resamples: int = 2000
-) -> tuple[float, float]:
-    """95 percent bootstrap interval of the mean over objects, resampled within each object."""
-    means = [
-        values[rng.integers(len(values), size=(resamples, len(values)))].mean(1)
-        for values in groups
-    ]
-    low, high = np.quantile(np.mean(means, axis=0), [0.025, 0.975])
-    return float(low), float(high)
-
-
-def print_table(records: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Prints the figures of :func:`summarise` for people."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=title)
-    for column in ("object", "ADD(-S) < 0.1 d", "95 %", "ADD / d", "keypoints", "pairs"):
-        table.add_column(column, justify="left" if column == "object" else "right")
-    cells: dict[str, dict[str, Mapping[str, Any]]] = {}
-    for record in records:
-        if "object" in record:
-            cells.setdefault(str(record["object"]), {})[str(record["metric"])] = record
-    for name, row in cells.items():
-        recall = row["add_s_recall"]
-        table.add_row(
-            name,
-            f"{100 * recall['value']:.1f} %",
-            f"{100 * recall['low']:.0f} to {100 * recall['high']:.0f}",
-            f"{row['add_over_diameter']['value']:.3f}",
-            f"{1000 * row['keypoint_distance']['value']:.1f} mm",
-            str(recall["n"]),
-            style="bold" if name == "mean" else None,
-        )
-    Console().print(table)
-    for record in records:
-        if record["metric"] == "seconds_per_pair":
-            print(f"{1000 * record['value']:.0f} ms a pair (median)")
-
-
 def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]) -> list[dict]:
     """Evaluates on a BOP dataset at ``root``, prints and writes what came out."""
     import torch
@@ -241,13 +180,41 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
 
     if config.threads:
         torch.set_num_threads(config.threads)
-    estimator = load(config.method, config.weights)
-    objects = estimator.networks.objects
-    dataset = read_dataset(root, config.split)
-    outcomes = evaluate_pairs(estimator, dataset, read_pairs(config.pairs or root), objects)
-    records = summarise(outcomes, {"method": config.method, **tags}, config.seed)
-    print_table(records, f"{config.method}, {', '.join(str(t) for t in tags.values())}")
+    estimator = load(config.method, config.weights, preset=config.preset, solver=config.solver)
+    networks = estimator.networks
+    outcomes = evaluate_pairs(
+        estimator,
+        read_dataset(root, config.split),
+        read_pairs(config.pairs or root),
+        networks.objects,
+        depth=config.method == "rgbd",
+        truth_roi_scale=networks.features.config.roi_scale if config.roi == "truth" else None,
+    )
+    tags = {"method": config.method, **tags}
+    if config.solver != "soft":
+        tags["solver"] = config.solver
+    if config.roi == "truth":
+        tags["roi"] = "truth"
+    records = summarise(outcomes, tags, config.seed)
+    print_table(records, _title(tags))
+    for gap in sorted({o.gap for o in outcomes if o.gap is not None}):
+        group = [o for o in outcomes if o.gap == gap]
+        records += summarise(group, {**tags, "gap": gap}, config.seed)
     if config.json is not None:
-        command = f"evaluate --method {config.method} --weights {config.weights}"
-        write_results(config.json, records, command=command, seed=config.seed)
+        write_results(config.json, records, command=_command(config), seed=config.seed)
     return records
+
+
+def _title(tags: Mapping[str, Any]) -> str:
+    """What a table shows, in words."""
+    words = {"solver": "solver {}", "roi": "regions of interest from the true pose"}
+    return ", ".join(words.get(name, "{}").format(tag) for name, tag in tags.items())
+
+
+def _command(config: EvaluateConfig) -> str:
+    """The command line that repeats a measurement."""
+    options = f"evaluate --method {config.method} --weights {config.weights}"
+    for name in ("preset", "solver", "roi"):
+        if getattr(config, name) != getattr(EvaluateConfig, name):
+            options += f" --{name} {getattr(config, name)}"
+    return options

@@ -9,6 +9,7 @@ which only those of the asked object are computed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -53,11 +54,13 @@ class Features2D(NamedTuple):
         directions: (B, 9, 2, G, G), raw vectors (x, y) towards each keypoint. They are trained to
             unit length, and shrink where the network is unsure.
         volume: (B, C, G, G), features for the volume.
+        decoder: (B, W, G, G), the decoder's last map, of which the others are projections.
     """
 
     mask_logits: Tensor
     directions: Tensor
     volume: Tensor
+    decoder: Tensor
 
 
 class ConvBlock(nn.Sequential):
@@ -149,7 +152,11 @@ class KeypointNet(nn.Module):
         Returns:
             Maps of side S / 4.
         """
-        f4, f8, f16, f32 = self.encoder(crops)
+        return self.decode(self.encoder.pyramid(crops), objects)
+
+    def decode(self, pyramid: Sequence[Tensor], objects: Tensor) -> Features2D:
+        """Features from the encoder's maps at strides 2 to 32; see :meth:`forward`."""
+        _, f4, f8, f16, f32 = pyramid
         embedding = self.embedding(objects)
         x = self.up16(torch.cat([_twice(self.bottleneck(f32)), f16], 1))
         x = _modulate(x, self.film16(embedding))
@@ -168,6 +175,7 @@ class KeypointNet(nn.Module):
             mask_logits=maps[:, 0],
             directions=maps[:, 1:].reshape(batch, KEYPOINTS, 2, height, breadth),
             volume=self.volume_head(x),
+            decoder=x,
         )
 
 

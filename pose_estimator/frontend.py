@@ -12,7 +12,7 @@ from .crops import warp_crop
 from .detector import decode, detector_input
 from .estimate import Roi
 from .features import Features2D
-from .geometry import View, crop_matrix
+from .geometry import View, crop_matrix, grid_matrix
 from .networks import PoseNetworks, has_fast_bfloat16
 from .voting import vote_keypoints
 
@@ -36,6 +36,8 @@ class EncodedView:
         vote_covariance: (9, 2, 2).
         vote_score: (9,) share of the object's pixels that agree, 0 to 1.
         mask: (G, G) probability of the visible object.
+        decoder: (W, G, G) the last map of the 2D network.
+        maps: the encoder's maps of the crop, (C, S, S) at strides 2 to 32.
     """
 
     view: View
@@ -47,6 +49,8 @@ class EncodedView:
     vote_covariance: np.ndarray
     vote_score: np.ndarray
     mask: np.ndarray
+    decoder: Tensor | None = None
+    maps: tuple[Tensor, ...] = ()
 
     @property
     def pixels(self) -> np.ndarray:
@@ -119,9 +123,9 @@ class Frontend:
         crop = warp_crop(view.image, to_crop, config.crop)
         crops = torch.from_numpy(crop).permute(2, 0, 1)[None].float()
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
-            features = self.networks.features(
-                crops.contiguous(memory_format=torch.channels_last), torch.tensor([index])
-            )
+            network = self.networks.features
+            maps = network.encoder.pyramid(crops.contiguous(memory_format=torch.channels_last))
+            features = network.decode(maps, torch.tensor([index]))
         mean, covariance, score = vote(features)
         to_grid = grid_matrix(config.stride) @ to_crop
         return EncodedView(
@@ -134,6 +138,8 @@ class Frontend:
             vote_covariance=covariance[0].double().numpy(),
             vote_score=score[0].double().numpy(),
             mask=torch.sigmoid(features.mask_logits[0].float()).numpy(),
+            decoder=features.decoder[0],
+            maps=tuple(m[0] for m in maps),
         )
 
 
@@ -181,9 +187,3 @@ def merge_votes(view: EncodedView, other: EncodedView, permutations: np.ndarray)
         vote_mean=np.einsum("kij,kj->ki", covariance, weighted),
         vote_covariance=2 * covariance,
     )
-
-
-def grid_matrix(stride: int) -> np.ndarray:
-    """The affine map (3, 3) from pixels of a crop to pixels of the feature grid."""
-    offset = (1 - stride) / (2 * stride)
-    return np.array([[1 / stride, 0, offset], [0, 1 / stride, offset], [0, 0, 1.0]])

@@ -81,6 +81,20 @@ def check_image(image: np.ndarray, name: str = "image") -> np.ndarray:
     return array
 
 
+def check_depth(depth: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Returns a depth map as float32 of ``shape`` (H, W), metres.
+
+    Raises:
+        ValueError: if it has another shape, or an entry that is negative or not finite.
+    """
+    array = np.asarray(depth, dtype=np.float32)
+    if array.shape != tuple(shape):
+        raise ValueError(f"depth must have the picture's shape {tuple(shape)}, got {array.shape}")
+    if not np.isfinite(array).all() or array.min(initial=0.0) < 0:
+        raise ValueError("depth must be finite and not negative (metres, 0 = unknown)")
+    return array
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """One picture with its camera: what an estimator is given.
@@ -90,13 +104,18 @@ class View:
         K: camera matrix in pixels, (3, 3).
         T_cam_world: world to OpenCV camera, (4, 4), metres. The world is any frame that the views
             of one estimate share.
+        depth: a depth sensor's map along z, (H, W) metres, 0 where it saw nothing; None where there
+            is no such sensor. Only ``rgbd`` looks at it.
     """
 
     image: np.ndarray
     K: np.ndarray
     T_cam_world: np.ndarray
+    depth: np.ndarray | None = None
 
     def __post_init__(self) -> None:
+        if self.depth is not None:
+            object.__setattr__(self, "depth", check_depth(self.depth, np.shape(self.image)[:2]))
         object.__setattr__(self, "image", check_image(self.image))
         object.__setattr__(self, "K", check_intrinsics(self.K))
         object.__setattr__(self, "T_cam_world", check_rigid(self.T_cam_world, "T_cam_world"))
@@ -157,3 +176,9 @@ def crop_matrix(centre: np.ndarray, side: float, size: int) -> np.ndarray:
             [0.0, 0.0, 1.0],
         ]
     )
+
+
+def grid_matrix(stride: int) -> np.ndarray:
+    """The affine map (3, 3) from pixels of a picture to those of a map with a stride."""
+    offset = (1 - stride) / (2 * stride)
+    return np.array([[1 / stride, 0, offset], [0, 1 / stride, offset], [0, 0, 1.0]])

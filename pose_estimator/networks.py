@@ -1,4 +1,4 @@
-"""The three networks of one set of weights, and the objects they know."""
+"""The networks of one set of weights, and the objects they know."""
 
 from __future__ import annotations
 
@@ -10,9 +10,17 @@ import torch
 from torch import nn
 
 from ..assets.object_model import ObjectModel
+from .cascade import CascadeNet
 from .detector import Detector, DetectorConfig
 from .features import FeatureConfig, KeypointNet
+from .point_voting import PointVotingNet
 from .volume import PRESETS, VolumeNet
+
+PARTS = ("detector", "features", "volume", "cascade", "points")
+"""The networks by name, in the order of their training."""
+
+OPTIONAL_PARTS = ("cascade", "points")
+"""Networks that weights may lack: those of ``early`` and ``rgbd``."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +39,14 @@ class NetworkConfig:
 
 
 class PoseNetworks(nn.Module):
-    """Detector, 2D features and volume for a set of objects.
+    """All networks for a set of objects.
 
     Args:
         objects: the models, in the order of the networks' outputs.
         config: shapes.
+
+    Attributes:
+        trained: names of the parts that have been trained; the others hold random numbers.
 
     Raises:
         ValueError: if the preset is unknown.
@@ -48,9 +59,12 @@ class PoseNetworks(nn.Module):
         self.objects = dict(objects)
         self.config = config
         self.index = {name: number for number, name in enumerate(objects)}
+        self.trained: frozenset[str] = frozenset()
         self.detector = Detector(len(objects), config.detector)
         self.features = KeypointNet(len(objects), config.features)
         self.volume = VolumeNet(config.features.volume_channels, PRESETS[config.preset])
+        self.cascade = CascadeNet()
+        self.points = PointVotingNet(len(objects), config.features.width + 1)
         self.detector.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.features.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.volume.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]

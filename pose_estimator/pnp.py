@@ -13,6 +13,7 @@ object's origin: X = exp(w) R m + t + v, so a pose covariance is that of (w, v),
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -22,7 +23,7 @@ from .geometry import check_intrinsics, make_transform
 _NEAREST = 0.05
 """Least depth in metres of the object's origin."""
 
-_NEAREST_POINT = 0.01
+NEAREST_POINT = 0.01
 """Least depth in metres of any keypoint."""
 
 _HUBER = 2.0
@@ -87,7 +88,7 @@ def uncertainty_pnp(
         if min(costs) > _MISFIT * known.sum():
             candidates += _ransac(problem, known)
             costs += [problem.cost(*pose) for pose in candidates[len(costs) :]]
-    rotation, translation, cost, information = _refine(problem, *candidates[int(np.argmin(costs))])
+    rotation, translation, cost, information = refine(problem, *candidates[int(np.argmin(costs))])
     # Directions that the keypoints leave open are known to a radian and a metre.
     covariance = np.linalg.inv(information + np.eye(6))
     return PnpResult(make_transform(rotation, translation), covariance, float(cost))
@@ -106,7 +107,7 @@ def keypoints_covariance(
     Returns:
         (N, 3, 3), metres squared.
     """
-    jacobian = _point_jacobian(np.asarray(model_points) @ T_cam_obj[:3, :3].T)
+    jacobian = point_jacobian(np.asarray(model_points) @ T_cam_obj[:3, :3].T)
     return jacobian @ pose_covariance @ jacobian.transpose(0, 2, 1)
 
 
@@ -131,19 +132,45 @@ class _Problem:
         rotated = self.model_points @ rotation.T
         if (
             not translation[2] > _NEAREST
-            or not (rotated[:, 2] + translation[2]).min() > _NEAREST_POINT
+            or not (rotated[:, 2] + translation[2]).min() > NEAREST_POINT
         ):
             return np.inf
-        return _huber_cost(self.residuals(rotated, translation))
+        return huber_cost(self.residuals(rotated, translation))
+
+    def normal_equations(
+        self, rotation: np.ndarray, translation: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient (6,) and Gauss-Newton matrix (6, 6) of the Huber cost."""
+        rotated = self.model_points @ rotation.T
+        jacobian = (
+            self.whiteners
+            @ projection_jacobian(rotated + translation, self.K)
+            @ point_jacobian(rotated)
+        )
+        return robust_normal_equations(self.residuals(rotated, translation), jacobian)
 
 
-def _refine(
-    problem: _Problem, rotation: np.ndarray, translation: np.ndarray
+class PnpProblem(Protocol):
+    """What :func:`refine` minimises over a pose, given as a rotation and a translation."""
+
+    def cost(self, rotation: np.ndarray, translation: np.ndarray) -> float:
+        """Robust cost; infinite where the pose makes no sense."""
+        ...
+
+    def normal_equations(
+        self, rotation: np.ndarray, translation: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient (6,) and Gauss-Newton matrix (6, 6) of the cost in the left perturbation."""
+        ...
+
+
+def refine(
+    problem: PnpProblem, rotation: np.ndarray, translation: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
     """Levenberg-Marquardt; returns the pose, its cost and its information (6, 6)."""
     cost = problem.cost(rotation, translation)
     damping = 1e-3
-    gradient, information = _normal_equations(problem, rotation, translation)
+    gradient, information = problem.normal_equations(rotation, translation)
     for _ in range(_ITERATIONS):
         damped = information + np.diag(damping * information.diagonal() + 1e-9)
         step = -np.linalg.solve(damped, gradient)
@@ -153,7 +180,7 @@ def _refine(
         if new_cost <= cost:
             converged = cost - new_cost < 1e-6 * cost + 1e-12
             rotation, translation, cost = new_rotation, new_translation, new_cost
-            gradient, information = _normal_equations(problem, rotation, translation)
+            gradient, information = problem.normal_equations(rotation, translation)
             damping *= 0.1
             if converged:
                 break
@@ -164,17 +191,15 @@ def _refine(
     return rotation, translation, cost, information
 
 
-def _normal_equations(
-    problem: _Problem, rotation: np.ndarray, translation: np.ndarray
+def robust_normal_equations(
+    residuals: np.ndarray, jacobian: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient (6,) and Gauss-Newton matrix (6, 6) of the Huber cost."""
-    rotated = problem.model_points @ rotation.T
-    residuals = problem.residuals(rotated, translation)
-    jacobian = (
-        problem.whiteners
-        @ projection_jacobian(rotated + translation, problem.K)
-        @ _point_jacobian(rotated)
-    )
+    """Gradient (6,) and Gauss-Newton matrix (6, 6) of the Huber cost of whitened residuals.
+
+    Args:
+        residuals: (N, 2).
+        jacobian: (N, 2, 6).
+    """
     distances = np.sqrt((residuals**2).sum(axis=1))
     weights = np.minimum(1.0, _HUBER / np.maximum(distances, 1e-12))
     weighted = (weights[:, None, None] * jacobian).reshape(-1, 6)
@@ -188,7 +213,7 @@ def projection_jacobian(points: np.ndarray, K: np.ndarray) -> np.ndarray:
     return (K[:2] - (uvw[..., :2] / uvw[..., 2:])[..., None] * K[2]) / depth
 
 
-def _point_jacobian(rotated: np.ndarray) -> np.ndarray:
+def point_jacobian(rotated: np.ndarray) -> np.ndarray:
     """Derivative (N, 3, 6) of exp(w) r + t + v in (w, v): [-[r]x, I]."""
     jacobian = np.zeros((len(rotated), 3, 6))
     x, y, z = rotated.T
@@ -199,7 +224,8 @@ def _point_jacobian(rotated: np.ndarray) -> np.ndarray:
     return jacobian
 
 
-def _huber_cost(residuals: np.ndarray) -> float:
+def huber_cost(residuals: np.ndarray) -> float:
+    """Huber cost of whitened residuals (N, 2)."""
     distances = np.sqrt((residuals**2).sum(axis=1))
     far = distances > _HUBER
     return float(np.where(far, _HUBER * (distances - 0.5 * _HUBER), 0.5 * distances**2).sum())

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .estimate import PoseEstimate
+from .estimate import PoseEstimate, Roi
 from .frontend import EncodedView, Frontend
 from .geometry import View, transform
 from .networks import PoseNetworks
 from .pnp import PnpResult, keypoints_covariance, uncertainty_pnp
+from .solvers import check_solver
 
 
 class SingleViewEstimator:
@@ -18,10 +19,16 @@ class SingleViewEstimator:
 
     Args:
         networks: with their weights; set to evaluation mode.
+        solver: from 3D keypoints to the pose, one of ``solvers.SOLVERS``, for the estimators that
+            have 3D keypoints; one view alone is solved by PnP.
+
+    Raises:
+        ValueError: if the solver is unknown.
     """
 
-    def __init__(self, networks: PoseNetworks):
+    def __init__(self, networks: PoseNetworks, solver: str = "soft"):
         self.networks = networks.eval()
+        self.solver = check_solver(solver)
         self.frontend = Frontend(networks)
 
     @property
@@ -29,20 +36,27 @@ class SingleViewEstimator:
         """The objects that the weights know."""
         return tuple(self.networks.objects)
 
-    def estimate(self, views: Sequence[View], object_name: str) -> PoseEstimate:
+    def estimate(
+        self, views: Sequence[View], object_name: str, rois: Sequence[Roi] | None = None
+    ) -> PoseEstimate:
         """Estimates a pose.
 
         Args:
             views: the reference view first.
             object_name: what to look for.
+            rois: where to look, one region for each view, instead of where the detector would: for
+                analyses that leave the detector out.
 
         Returns:
             The pose in the reference camera.
 
         Raises:
-            ValueError: if there is no view or the object is unknown.
+            ValueError: if there is no view, the object is unknown, or there is not one region for
+                each view.
         """
-        encoded = self.frontend.encode(first_view(views), self.index(object_name))
+        reference = first_view(views)
+        roi = None if rois is None else check_rois(rois, views)[0]
+        encoded = self.frontend.encode(reference, self.index(object_name), roi=roi)
         return self.from_one_view(encoded, object_name)
 
     def index(self, object_name: str) -> int:
@@ -88,3 +102,16 @@ def first_view(views: Sequence[View]) -> View:
     if len(views) == 0:
         raise ValueError("estimate needs at least one view, the reference view first; got none")
     return views[0]
+
+
+def check_rois(rois: Sequence[Roi], views: Sequence[View]) -> Sequence[Roi]:
+    """Returns the regions of interest.
+
+    Raises:
+        ValueError: if there is not one for each view.
+    """
+    if len(rois) != len(views):
+        raise ValueError(
+            f"rois must have one region for each of the {len(views)} views, got {len(rois)}"
+        )
+    return rois

@@ -17,16 +17,16 @@ import numpy as np
 from .geometry import check_intrinsics, check_rigid, invert
 from .pnp import projection_jacobian, whiteners
 
-_NEAREST = 0.05
+NEAREST = 0.05
 """Least depth in metres of a point in every view, where the views allow it."""
 
-_FARTHEST = 10.0
+FARTHEST = 10.0
 """Largest depth in metres: a table-top scene has nothing further."""
 
 _NOMINAL_DEPTH = 1.0
 """Depth in metres at which a point is put if its rays do not say."""
 
-_PRIOR = 10.0
+PRIOR = 10.0
 """Standard deviation in metres of what is known of a point before it is seen."""
 
 _ITERATIONS = 8
@@ -55,7 +55,7 @@ def triangulate(
     """
     pixels = np.asarray(pixels, dtype=np.float64)
     covariances = np.asarray(covariances, dtype=np.float64)
-    cameras, T_view_first = _check_cameras(pixels, covariances, Ks, T_cam_world)
+    cameras, T_view_first = check_cameras(pixels, covariances, Ks, T_cam_world)
     views, count = pixels.shape[:2]
     white = whiteners(pixels.reshape(-1, 2), covariances.reshape(-1, 2, 2))
     problem = _Rig(
@@ -68,7 +68,9 @@ def triangulate(
     points = _start(problem, T_view_first)
     points = _refine(problem, points)
     _, information = problem.normal_equations(points)
-    return points, np.linalg.inv(information + np.eye(3) / _PRIOR**2)
+    # The second part keeps what rounding would make singular.
+    least = 1 / PRIOR**2 + 1e-13 * np.trace(information, axis1=1, axis2=2)
+    return points, np.linalg.inv(information + least[:, None, None] * np.eye(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +107,7 @@ class _Rig:
         It is infinite for a point out of the depth range of a camera that sees it.
         """
         seen = self.in_views(points)
-        out = ((seen[..., 2] < _NEAREST) | (seen[..., 2] > _FARTHEST)) & self.sees
+        out = ((seen[..., 2] < NEAREST) | (seen[..., 2] > FARTHEST)) & self.sees
         return np.where(out.any(axis=0), np.inf, (self.residuals(seen) ** 2).sum(axis=(0, 2)))
 
     @property
@@ -155,7 +157,7 @@ def _start(rig: _Rig, T_view_first: np.ndarray) -> np.ndarray:
         tries = np.stack(
             [
                 _at_depth(rig, rays, centres, depth)
-                for depth in np.geomspace(0.1, 0.9 * _FARTHEST, 16)
+                for depth in np.geomspace(0.1, 0.9 * FARTHEST, 16)
             ]
         )
         costs = np.stack([rig.cost(candidate) for candidate in tries])
@@ -170,7 +172,7 @@ def _at_depth(rig: _Rig, rays: np.ndarray, centres: np.ndarray, depth: float) ->
     first = rig.sees.argmax(axis=0)
     index = np.arange(rays.shape[1])
     points = centres[first, 0] + depth * rays[first, index]
-    points[:, 2] = np.maximum(points[:, 2], _NEAREST)
+    points[:, 2] = np.maximum(points[:, 2], NEAREST)
     return points
 
 
@@ -181,7 +183,7 @@ def _refine(rig: _Rig, points: np.ndarray) -> np.ndarray:
     for _ in range(_ITERATIONS):
         gradient, information = rig.normal_equations(points)
         # Scaled by the diagonal, with an absolute part for directions that nothing constrains.
-        diagonal = damping[:, None] * np.einsum("nii->ni", information) + 1 / _PRIOR**2
+        diagonal = damping[:, None] * np.einsum("nii->ni", information) + 1 / PRIOR**2
         step = -np.linalg.solve(
             information + diagonal[:, :, None] * np.eye(3), gradient[..., None]
         )[..., 0]
@@ -197,7 +199,7 @@ def _refine(rig: _Rig, points: np.ndarray) -> np.ndarray:
     return points
 
 
-def _check_cameras(
+def check_cameras(
     pixels: np.ndarray,
     covariances: np.ndarray,
     Ks: Sequence[np.ndarray],

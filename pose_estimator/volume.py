@@ -53,7 +53,9 @@ class LevelConfig:
         if self.cells is not None:
             return self.cells, half
         assert self.cell_size is not None
-        return math.ceil(2 * float(half.max()) / self.cell_size), half
+        count = math.ceil(2 * float(half.max()) / self.cell_size)
+        # Voxels keep their size, so in a batch all volumes are as large as the largest.
+        return count, torch.full_like(half, count * self.cell_size / 2)
 
 
 @dataclass(frozen=True)
@@ -65,12 +67,14 @@ class VolumeConfig:
         fine: the second volume, around the coarse answer.
         hidden: channels of the 3D network.
         evidence: whether the views' votes are lifted beside their features.
+        coarse_pose: whether the coarse volume's pose is part of the training's loss.
     """
 
     coarse: LevelConfig = LevelConfig(cells=14, half_size=1.0)
     fine: LevelConfig = LevelConfig(cells=16, half_size=0.65)
     hidden: int = 32
     evidence: bool = True
+    coarse_pose: bool = False
 
 
 PRESETS = {
@@ -79,9 +83,11 @@ PRESETS = {
         coarse=LevelConfig(cells=60, half_size=0.3, metric=True),
         fine=LevelConfig(cells=None, half_size=0.65, cell_size=0.005),
         evidence=False,
+        coarse_pose=True,
     ),
 }
-"""``paper`` is the paper's grid (+-0.3 m at 0.01 m, then 0.005 m); ``fast`` is the default."""
+"""``paper`` is the paper's: +-0.3 m in voxels of 0.01 m, then the object in voxels of 0.005 m, from
+features alone, and both levels' poses in the loss. ``fast`` is the default."""
 
 
 class ViewMaps(NamedTuple):

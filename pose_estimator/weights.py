@@ -11,12 +11,13 @@ from typing import Any
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
+from torch import Tensor
 
 from .. import assets
 from ..assets.storage import read_object, save_object
 from .detector import DetectorConfig
 from .features import FeatureConfig
-from .networks import NetworkConfig, PoseNetworks
+from .networks import OPTIONAL_PARTS, PARTS, NetworkConfig, PoseNetworks
 from .results import commit, versions, write_atomically
 
 FORMAT = 1
@@ -27,21 +28,21 @@ SHIPPED = Path(assets.__file__).parent / "weights"
 def save_weights(networks: PoseNetworks, path: str | Path, header: dict[str, Any]) -> None:
     """Writes weights in half precision, with their header beside them.
 
-    Objects that are not among our thirteen are stored too, in a folder beside the header.
+    Of ``OPTIONAL_PARTS`` only those are written that have been trained. Objects that are not among
+    our thirteen are stored too, in a folder beside the header.
 
     Args:
         networks: what to save.
         path: the ``.safetensors`` file; the header goes to ``.json`` beside it.
-        header: what the weights are: training data, measured accuracy. The objects, shapes,
-            versions and the commit are added.
+        header: what the weights are: training data, measured accuracy. The objects, shapes, the
+            trained parts, versions and the commit are added.
     """
     path = Path(path)
     tensors = {
         name: (
             value.detach().half() if value.is_floating_point() and "running" not in name else value
         ).contiguous()
-        for name, value in networks.state_dict().items()
-        if not name.endswith("num_batches_tracked")
+        for name, value in stored_state(networks).items()
     }
     objects: dict[str, dict[str, Any]] = {}
     for name, model in networks.objects.items():
@@ -54,6 +55,7 @@ def save_weights(networks: PoseNetworks, path: str | Path, header: dict[str, Any
         "format": FORMAT,
         "objects": objects,
         "networks": asdict(networks.config),
+        "trained": [part for part in PARTS if part in networks.trained],
         "versions": versions(),
         "commit": commit(),
         **header,
@@ -121,7 +123,8 @@ def load_networks(weights: str | Path = "linemod") -> PoseNetworks:
 def read_networks(path: str | Path) -> PoseNetworks:
     """Builds the networks that a weights file describes. Runs no code from the file.
 
-    Objects that were stored with the weights are read from there; others are our thirteen.
+    Objects that were stored with the weights are read from there; others are our thirteen. Optional
+    parts that were not trained keep their initial values.
 
     Raises:
         ValueError: if the file is damaged, or does not fit its header.
@@ -142,6 +145,7 @@ def read_networks(path: str | Path) -> PoseNetworks:
             for name, entry in header["objects"].items()
         }
         networks = PoseNetworks(objects, config)
+        networks.trained = _trained_parts(header)
     except (AttributeError, KeyError, RuntimeError, TypeError) as error:
         raise ValueError(f"the header of {path} does not describe networks: {error}") from error
     try:
@@ -150,11 +154,7 @@ def read_networks(path: str | Path) -> PoseNetworks:
         raise ValueError(f"weights file {path} is damaged: {error}") from error
     if not all(torch.isfinite(t).all() for t in tensors.values() if t.is_floating_point()):
         raise ValueError(f"weights file {path} is damaged: it holds NaN or infinite numbers")
-    expected = {
-        name: value
-        for name, value in networks.state_dict().items()
-        if not name.endswith("num_batches_tracked")
-    }
+    expected = stored_state(networks)
     wrong = [n for n in expected if n not in tensors or tensors[n].shape != expected[n].shape]
     if wrong or len(tensors) != len(expected):
         raise ValueError(
@@ -163,3 +163,24 @@ def read_networks(path: str | Path) -> PoseNetworks:
         )
     networks.load_state_dict({n: t.float() for n, t in tensors.items()}, strict=False)
     return networks.eval()
+
+
+def stored_state(networks: PoseNetworks) -> dict[str, Tensor]:
+    """The tensors by name that weights of these networks hold."""
+    left_out = tuple(f"{part}." for part in OPTIONAL_PARTS if part not in networks.trained)
+    return {
+        name: value
+        for name, value in networks.state_dict().items()
+        if not name.endswith("num_batches_tracked") and not name.startswith(left_out)
+    }
+
+
+def _trained_parts(header: dict[str, Any]) -> frozenset[str]:
+    """What a header says was trained; the first weights did not say, and had three parts."""
+    trained = header.get("trained", [part for part in PARTS if part not in OPTIONAL_PARTS])
+    unknown = [part for part in trained if part not in PARTS]
+    if unknown:
+        raise ValueError(
+            f"the header says that the parts {unknown} are trained; there are {', '.join(PARTS)}"
+        )
+    return frozenset(trained)

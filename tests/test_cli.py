@@ -22,11 +22,13 @@ from two_view_pose.pose_estimator.geometry import LINEMOD_K
 OPTIONS = {
     "demo": "seed object scene policy out json",
     "generate": "out scenes objects scene seed workers",
+    "cut-and-paste": "data out images backgrounds split objects move seed json",
     "train-estimator": "out seed",
-    "evaluate": "method weights scene scenes seed data pairs json",
+    "evaluate": "method weights preset solver roi scene scenes seed data pairs json",
     "estimate": "reference second K relative-pose object method weights out overlay json",
     "train-agent": "algo steps out env scene seed json",
     "evaluate-agent": "policy scene episodes seed json",
+    "compare": "out quick methods weights noisy-weights no-pose-loss-weights data report-only",
     "bench": "repeats weights seed json",
     "doctor": "quick json",
 }

@@ -1,14 +1,17 @@
-"""Small objects from trimesh's primitives, so that the world's tests need no built assets."""
+"""Small objects from trimesh's primitives, so that no test needs built assets, and environments."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 from two_view_pose.assets.object_model import ObjectModel
+from two_view_pose.envs.two_view_pose import TwoViewPoseEnv
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the stand-in estimators beside this file
 
@@ -62,3 +65,18 @@ def primitive_objects() -> dict[str, ObjectModel]:
 def objects() -> dict[str, ObjectModel]:
     """Six textured primitives by name."""
     return primitive_objects()
+
+
+@pytest.fixture
+def make(objects) -> Iterator[Callable[..., Any]]:
+    """Makes small environments, continuous unless told otherwise, and closes them."""
+    made = []
+
+    def build(kind: type = TwoViewPoseEnv, **kwargs: Any) -> Any:
+        env = kind(**{"objects": objects, "estimator": None, "resolution": (120, 160), **kwargs})
+        made.append(env)
+        return env
+
+    yield build
+    for env in made:
+        env.close()

@@ -19,9 +19,10 @@ from two_view_pose.assets.object_model import ObjectModel
 from two_view_pose.envs import gl
 from two_view_pose.envs.arrangement import Arrangement, Thing
 from two_view_pose.envs.camera import look_at, view_sphere_pose
+from two_view_pose.envs.graphics import Graphics
 from two_view_pose.envs.placement import Placed, resting_poses
 from two_view_pose.envs.randomization import Randomization
-from two_view_pose.envs.renderer import Graphics, SceneRenderer
+from two_view_pose.envs.renderer import SceneRenderer
 from two_view_pose.envs.scene import Scene, SceneConfig, SceneState
 from two_view_pose.envs.world import TABLE_HALF
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, crop_matrix, invert

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from two_view_pose.envs.sensor import SensorConfig, apply_sensor
+from two_view_pose.envs.sensor import SensorConfig, SensorState, apply_sensor
 
 GREY = np.full((120, 160, 3), 128, dtype=np.uint8)
 
@@ -87,3 +87,17 @@ def test_wrong_input_is_refused() -> None:
         SensorConfig(gamma=1.5)
     with pytest.raises(ValueError, match="jpeg_quality"):
         SensorConfig(jpeg_quality=(90, 50))
+
+
+def test_one_camera_keeps_its_exposure_and_is_not_always_as_sharp() -> None:
+    config = SensorConfig(noise=0.0, jpeg_probability=0.0)
+    rng = np.random.default_rng(7)
+    camera = SensorState.draw(config, rng)
+    flat = [camera.shaken(config, rng).take(GREY, rng) for _ in range(5)]
+    assert all((picture == flat[0]).all() for picture in flat)
+    edge = np.zeros((40, 40, 3), dtype=np.uint8)
+    edge[:, 20:] = 200
+    sharpness = [int(camera.shaken(config, rng).take(edge, rng)[20, 19, 1]) for _ in range(20)]
+    assert len(set(sharpness)) > 5
+    other = SensorState.draw(config, rng).take(GREY, rng)
+    assert (other != flat[0]).any()

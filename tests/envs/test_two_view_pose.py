@@ -1,41 +1,16 @@
-"""Two-View Pose: what an episode returns, what it depends on, and what it refuses."""
+"""Two-View Pose: what an episode returns, and what it depends on."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
-import two_view_pose  # noqa: F401  (registers the ids)
-from estimators import ConstantEstimator, PickyEstimator, TableEstimator, pose, relative
-from gymnasium.error import ResetNeeded
+from estimators import ConstantEstimator, TableEstimator, pose, relative
 from two_view_pose.envs.carrier import PoseNoise, camera_centre
-from two_view_pose.envs.two_view_pose import (
-    CANDIDATE_VIEWS,
-    TwoViewPoseDiscreteEnv,
-    TwoViewPoseEnv,
-)
+from two_view_pose.envs.two_view_pose import CANDIDATE_VIEWS, TwoViewPoseDiscreteEnv
 from two_view_pose.pose_estimator.geometry import invert, transform
-
-SMALL = (120, 160)
-Make = Callable[..., Any]
-
-
-@pytest.fixture
-def make(objects) -> Iterator[Make]:
-    """Makes small environments, continuous unless told otherwise, and closes them."""
-    made = []
-
-    def build(kind: type = TwoViewPoseEnv, **kwargs: Any) -> Any:
-        env = kind(**{"objects": objects, "estimator": None, "resolution": SMALL, **kwargs})
-        made.append(env)
-        return env
-
-    yield build
-    for env in made:
-        env.close()
 
 
 def same(first: Any, second: Any) -> bool:
@@ -247,35 +222,6 @@ def test_pose_noise_reaches_the_estimator_only(make):
     assert 0.1 < angle < 12 and 1e-4 < np.linalg.norm(error[:3, 3]) < 0.06
 
 
-@pytest.mark.parametrize(
-    "action",
-    [
-        np.array([np.nan, 0, 0]),
-        np.array([0, np.inf, 0]),
-        np.array([0, 0, 1.01]),
-        np.zeros(2),
-        np.zeros((1, 3)),
-        None,
-        "left",
-        ["a", "b", "c"],
-    ],
-)
-def test_bad_actions(make, action):
-    env = make()
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match="action must be three numbers from -1 to 1"):
-        env.step(action)
-    env.step(np.zeros(3))  # the episode goes on after the refusal
-
-
-@pytest.mark.parametrize("action", [-1, 24, 1.5, True, np.array([3, 4]), None, float("nan")])
-def test_bad_discrete_actions(make, action):
-    env = make(TwoViewPoseDiscreteEnv)
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match="action must be an integer from 0 to 23"):
-        env.step(action)
-
-
 def test_candidate_views(make):
     env = make(TwoViewPoseDiscreteEnv, estimator=TableEstimator())
     assert env.action_space == gym.spaces.Discrete(24) and len(CANDIDATE_VIEWS) == 24
@@ -291,85 +237,6 @@ def test_candidate_views(make):
         turned = np.rad2deg(np.arctan2(y, x) - np.arctan2(reference[1], reference[0]))
         assert (turned - offset + 180) % 360 - 180 == pytest.approx(0, abs=1e-6)
     assert make(TwoViewPoseDiscreteEnv, candidate_views=[(30, 45)]).action_space.n == 1
-
-
-@pytest.mark.parametrize(
-    "views", [[], [(1, 2, 3)], [(0, 5)], [(200, 45)], [(np.nan, 45)], [(0, 90)]]
-)
-def test_bad_candidate_views(make, views):
-    with pytest.raises(ValueError, match="candidate_views must be pairs"):
-        make(TwoViewPoseDiscreteEnv, candidate_views=views)
-
-
-def test_an_episode_has_one_step(make):
-    env = make()
-    for call in (lambda: env.step(np.zeros(3)), lambda: env.sphere_centre, lambda: env.figure()):
-        with pytest.raises(ResetNeeded, match="reset"):
-            call()
-    env.reset(seed=0)
-    env.step(np.zeros(3))
-    with pytest.raises(ResetNeeded, match="reset"):
-        env.step(np.zeros(3))
-
-
-def test_unknown_object_names_the_training_command(make):
-    with pytest.raises(ValueError, match=r"ball.*train-estimator --objects"):
-        make(estimator=PickyEstimator())
-
-
-def test_own_estimator_may_know_everything(make):
-    make(estimator=ConstantEstimator()).reset(seed=0)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"estimator": 3}, "estimator must be"),
-        ({"estimator": "guess"}, "unknown method"),
-        ({"scene": "kitchen"}, "scene kind"),
-        ({"travel_weight": -1.0}, "travel_weight"),
-        ({"travel_weight": np.nan}, "travel_weight"),
-        ({"pose_noise": (1.0,)}, "pose_noise"),
-        ({"pose_noise": (-1.0, 0.0)}, "pose_noise.rotation_deg"),
-        ({"image_size": 8}, "image_size"),
-        ({"resolution": (100, 100)}, "resolution"),
-        ({"render_mode": "ascii"}, "render_mode"),
-        ({"objects": ["unicorn"]}, "unicorn"),
-    ],
-)
-def test_bad_arguments(make, arguments, message):
-    with pytest.raises(ValueError, match=message):
-        make(**arguments)
-
-
-def test_an_estimator_that_answers_no_pose(make):
-    env = make(estimator=ConstantEstimator(np.full((4, 4), np.nan)))
-    with pytest.raises(ValueError, match="the estimator's T_cam_obj"):
-        env.reset(seed=0)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"sceneseed": 1}, "sceneseed.*object, scene_seed, reference_camera"),
-        ({"object": "unicorn"}, "object must be one of brick"),
-        ({"scene_seed": -1}, "scene_seed"),
-        ({"scene_seed": 1.5}, "scene_seed"),
-        ({"scene_seed": True}, "scene_seed"),
-        ({"reference_camera": np.full((4, 4), np.nan)}, "reference_camera"),
-        ({"reference_camera": np.eye(3)}, "reference_camera"),
-        ({"reference_camera": np.diag([1, 1, -1, 1])}, "reference_camera"),
-        ({"reference_camera": "above"}, "reference_camera"),
-        ({"reference_camera": {"distance": 1.0}}, "distance, azimuth, elevation"),
-        ({"reference_camera": {"distance": 1, "azimuth": 0, "elevation": 45}}, "elevation.*rad"),
-        ({"reference_camera": {"distance": 9, "azimuth": 0, "elevation": 1}}, "distance.*1.4 m"),
-        ({"reference_camera": {"distance": 1, "azimuth": np.nan, "elevation": 1}}, "azimuth"),
-        ([], "options must be a dict"),
-    ],
-)
-def test_bad_options(make, options, message):
-    with pytest.raises(ValueError, match=message):
-        make().reset(options=options)
 
 
 def test_reference_camera_as_a_matrix(make):

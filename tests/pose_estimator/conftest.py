@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -25,6 +26,8 @@ from two_view_pose.pose_estimator.bop_writer import (
 from two_view_pose.pose_estimator.crops import CropPack
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, invert, make_transform, project
 from two_view_pose.pose_estimator.networks import PoseNetworks
+
+sys.path.insert(0, str(Path(__file__).parent))  # for the stand-ins beside this file
 
 COLOURS = {"brick": (220, 40, 40), "crate": (40, 60, 220)}
 

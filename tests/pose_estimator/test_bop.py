@@ -159,8 +159,26 @@ def test_pairs_round_trip(tmp_path):
     np.testing.assert_allclose(read.T_second_ref, pair.T_second_ref, atol=1e-9)
     assert read.baseline_deg == 31.5 and read.obj_ids == (9, 1) and read.target_obj_id == 9
     assert (read.scene_id, read.ref_image_id, read.second_image_id) == (4, 0, 2)
+    assert read.gap is None
     entry = json.loads((tmp_path / "two_view_pairs.json").read_text())[0]
     np.testing.assert_allclose(entry["cam_t_ref2second"], pair.T_second_ref[:3, 3] * 1000)
+
+
+def test_pairs_of_a_sequence_keep_their_gap(tmp_path):
+    path = tmp_path / "two_view_pairs.json"
+    pairs = [bop.BopPair(0, 3, 3 + gap, np.eye(4), {1: 2.0}, gap=gap) for gap in (1, 5, 10)]
+    bop_writer.write_pairs(path, pairs)
+    assert [pair.gap for pair in bop.read_pairs(tmp_path)] == [1, 5, 10]
+    assert [entry["gap"] for entry in json.loads(path.read_text())] == [1, 5, 10]
+
+
+@pytest.mark.parametrize("gap", [0, -1, 1.5, "5", True])
+def test_a_gap_that_is_none_is_named(tmp_path, gap):
+    path = tmp_path / "two_view_pairs.json"
+    bop_writer.write_pairs(path, [bop.BopPair(0, 0, 1, np.eye(4), {1: 2.0}, gap=1)])
+    path.write_text(json.dumps([json.loads(path.read_text())[0] | {"gap": gap}]))
+    with pytest.raises(ValueError, match="pair 0: field 'gap' must be an integer of at least 1"):
+        bop.read_pairs(path)
 
 
 def test_pairs_of_recorded_scenes_are_read(tmp_path):

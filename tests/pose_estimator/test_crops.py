@@ -1,6 +1,7 @@
 """Crops keep positions to a small part of a pixel, whatever the scale; packs say what they hold."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -107,8 +108,11 @@ def test_a_pack_is_opened_again_and_made_anew_for_other_objects(dataset, boxes, 
     assert np.array_equal(again.crops, pack.crops)
     header = json.loads((dataset / "packed_train_pbr" / "header.json").read_text())
     assert header["objects"] == ["brick", "crate"]
-    with pytest.raises(AssertionError, match="packed twice"):
-        pack_dataset(dataset, {"crate": boxes["crate"]})
+    larger = replace(boxes["brick"], diameter=boxes["brick"].diameter * 1.01)
+    moved = replace(boxes["brick"], keypoints=boxes["brick"].keypoints + 1e-4)
+    for others in ({}, {"brick": larger}, {"brick": moved}):
+        with pytest.raises(AssertionError, match="packed twice"):
+            pack_dataset(dataset, {**others, "crate": boxes["crate"]})
 
 
 def test_a_missing_split_is_named(dataset, boxes):

@@ -1,12 +1,20 @@
 """Training samples: labels, pictures and cameras agree after every augmentation."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 import torch
 from two_view_pose.pose_estimator.augmentation import AugmentationConfig, augment_colours
 from two_view_pose.pose_estimator.crops import CropPack
-from two_view_pose.pose_estimator.dataset import TargetSample, TrainingSet, batches, stack_targets
+from two_view_pose.pose_estimator.dataset import (
+    SamplingConfig,
+    TargetSample,
+    TrainingSet,
+    batches,
+    stack_targets,
+)
 from two_view_pose.pose_estimator.detector import DetectorConfig, decode
 from two_view_pose.pose_estimator.features import FeatureConfig, Features2D
 from two_view_pose.pose_estimator.frontend import grid_matrix, vote
@@ -14,6 +22,8 @@ from two_view_pose.pose_estimator.geometry import project, transform
 from two_view_pose.pose_estimator.symmetry import canonical_pose
 
 CONFIG = FeatureConfig()
+PLAIN = AugmentationConfig(noise=0, blur=0, brightness=0, contrast=0, white_balance=0)
+"""Bends the crops and leaves their colours."""
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +41,7 @@ def drawn_mask(sample: TargetSample, model) -> np.ndarray:
 
 @pytest.mark.parametrize("augmented", [False, True])
 def test_the_pose_falls_on_the_mask_and_on_the_picture(pack, boxes, augmented):
-    bent = AugmentationConfig(erase=0, noise=0, blur=0) if augmented else None
-    training = TrainingSet(pack, boxes, CONFIG, bent)
+    training = TrainingSet(pack, boxes, CONFIG, replace(PLAIN, erase=0) if augmented else None)
     rng = np.random.default_rng(0)
     models = list(boxes.values())
     for _ in range(12):
@@ -51,7 +60,7 @@ def test_directions_vote_for_the_keypoints_of_the_pose(training, boxes):
     samples = [training.draw_target(rng) for _ in range(6)]
     tensors = stack_targets(samples)
     mean, _, score = vote(
-        Features2D(10 * (2 * tensors["mask"] - 1), tensors["directions"], torch.zeros(()))
+        Features2D(10 * (2 * tensors["mask"] - 1), tensors["directions"], *torch.zeros(2))
     )
     models = list(boxes.values())
     for sample, found in zip(samples, mean.numpy(), strict=True):
@@ -164,3 +173,46 @@ def test_colours_are_drawn_from_the_generator_alone():
     )
     assert np.array_equal(first, again) and not np.array_equal(first, other)
     assert np.array_equal(picture, before) and first.dtype == np.uint8
+
+
+def test_an_erased_box_is_taken_from_the_mask(pack, boxes):
+    training = TrainingSet(pack, boxes, CONFIG, replace(PLAIN, erase=1))
+    rng = np.random.default_rng(0)
+    missing = []
+    for _ in range(12):
+        sample = training.draw_target(rng)
+        colour = (220, 40, 40) if sample.object_index == 0 else (40, 60, 220)
+        near = (np.abs(sample.crop.astype(int) - colour).max(-1) < 25).astype(np.uint8) * 255
+        shown = cv2.resize(near, sample.mask.shape, interpolation=cv2.INTER_AREA) > 127
+        assert shown[sample.mask > 0.95].mean() > 0.99
+        whole = drawn_mask(sample, list(boxes.values())[sample.object_index])
+        missing.append(whole.sum() - sample.mask.sum())
+    assert max(missing) > 20 and min(missing) > -5
+
+
+def test_one_scene_cannot_be_trained_and_validated(pack, boxes):
+    alone = replace(pack, scene_id=np.zeros_like(pack.scene_id))
+    for later in (False, True):
+        with pytest.raises(ValueError, match="has 1 scene, and 1 of them would be kept"):
+            TrainingSet(alone, boxes, CONFIG, held_out=later)
+    with pytest.raises(ValueError, match=r"has 3 scenes, and 3 of them .* lower --validation"):
+        TrainingSet(pack, boxes, CONFIG, validation=0.9)
+
+
+def test_pairs_need_two_pictures_of_a_scene(pack, boxes):
+    apart = replace(pack, scene_id=np.arange(len(pack.scene_id)))
+    with pytest.raises(ValueError, match="generate --views 2"):
+        TrainingSet(apart, boxes, CONFIG).draw_pair(np.random.default_rng(0))
+
+
+def test_what_leans_or_hides_is_drawn_less_where_that_can_be_told(pack):
+    sampling = SamplingConfig(tilted=0.2, hidden=0.5)
+    assert np.allclose(sampling.weights(pack), 1)  # all stand upright, in full view
+    lying = pack.T_cam_obj.copy()
+    lying[0, :3, :3] = lying[0, :3, :3] @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    visibility = pack.visibility.copy()
+    visibility[1] = 0.2
+    weights = sampling.weights(replace(pack, T_cam_obj=lying, visibility=visibility))
+    assert np.allclose(weights[:3], (0.2, 0.5, 1))
+    no_world = replace(pack, T_cam_obj=lying, T_cam_world=np.tile(np.eye(4), (9, 1, 1)))
+    assert np.allclose(sampling.weights(no_world), 1)

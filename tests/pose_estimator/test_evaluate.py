@@ -1,26 +1,30 @@
 """The evaluation: its arithmetic, and truth and garbage from end to end."""
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from two_view_pose.pose_estimator import evaluate
-from two_view_pose.pose_estimator.bop import BopDataset, read_dataset, read_pairs
+from two_view_pose.pose_estimator.bop import BopDataset, read_dataset, read_depth, read_pairs
 from two_view_pose.pose_estimator.bop_pairs import BopPair
+from two_view_pose.pose_estimator.bop_writer import write_pairs
 from two_view_pose.pose_estimator.estimate import PoseEstimate
 from two_view_pose.pose_estimator.evaluate import (
     EvaluateConfig,
-    Outcome,
     distance_of_keypoints,
     evaluate_dataset,
     evaluate_pairs,
-    print_table,
-    summarise,
     target_pairs,
 )
-from two_view_pose.pose_estimator.geometry import make_transform, transform
+from two_view_pose.pose_estimator.features import FeatureConfig
+from two_view_pose.pose_estimator.geometry import make_transform, project, transform
+from two_view_pose.pose_estimator.outcomes import Outcome, print_table, summarise
 from two_view_pose.pose_estimator.results import read_results
 
 
@@ -31,6 +35,7 @@ class Oracle:
         self.objects = objects
         self.T_error = np.eye(4) if T_error is None else T_error
         self.asked: list[tuple[int, str]] = []
+        self.told: list[tuple] = []
         self.truths = {}
         for image in dataset:
             for annotation in image.annotations:
@@ -41,8 +46,9 @@ class Oracle:
     def object_names(self) -> tuple[str, ...]:
         return tuple(self.objects)
 
-    def estimate(self, views, object_name: str) -> PoseEstimate:
+    def estimate(self, views, object_name: str, *told) -> PoseEstimate:
         self.asked.append((len(views), object_name))
+        self.told.append((views, *told))
         model = self.objects[object_name]
         truth = self.truths[views[0].image.tobytes(), model.obj_id]
         if len(views) == 2:
@@ -57,6 +63,19 @@ class Oracle:
 @pytest.fixture(scope="module")
 def opened(dataset: Path) -> BopDataset:
     return read_dataset(dataset, "train_pbr")
+
+
+@pytest.fixture(scope="module")
+def dataset_with_depth(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The dataset with a depth map for each picture, no two alike."""
+    root = tmp_path_factory.mktemp("depth") / "boxes"
+    shutil.copytree(dataset, root, ignore=shutil.ignore_patterns("packed*"))
+    for number, picture in enumerate(sorted(root.glob("train_pbr/*/rgb/*"))):
+        folder = picture.parent.parent / "depth"
+        folder.mkdir(exist_ok=True)
+        steps = np.full((480, 640), 1000 + number, np.uint16)
+        cv2.imwrite(str(folder / f"{picture.stem}.png"), steps)
+    return root
 
 
 def outcome(name: str, error: float, seconds: float = 0.1) -> Outcome:
@@ -168,7 +187,13 @@ def test_keypoints_are_compared_with_the_nearest_equivalent(boxes):
 def test_a_dataset_is_evaluated_and_written(opened, dataset, boxes, monkeypatch, tmp_path, capsys):
     oracle = Oracle(opened, boxes)
     oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
-    monkeypatch.setattr("two_view_pose.pose_estimator.load", lambda method, weights: oracle)
+    asked: list[tuple] = []
+
+    def load(method: str, weights: str, **options: str | None) -> Oracle:
+        asked.append((method, weights, options))
+        return oracle
+
+    monkeypatch.setattr("two_view_pose.pose_estimator.load", load)
     target = tmp_path / "figures.json"
     config = EvaluateConfig(split="train_pbr", json=target)
     evaluate_dataset(config, dataset, {"dataset": "boxes"})
@@ -176,7 +201,78 @@ def test_a_dataset_is_evaluated_and_written(opened, dataset, boxes, monkeypatch,
     assert json.loads(target.read_text())["seed"] == 1000
     assert figure(document["records"], "add_s_recall", "mean")["value"] == 1.0
     assert all(r["method"] == "mid" and r["dataset"] == "boxes" for r in document["records"])
-    assert "100.0 %" in capsys.readouterr().out
+    assert asked == [("mid", "linemod", {"preset": None, "solver": "soft"})]
+    printed = capsys.readouterr().out
+    assert "100.0 %" in printed and "true pose" not in printed
+    assert all("roi" not in r and "gap" not in r for r in document["records"])
+    assert all(len(told) == 1 and told[0][0].depth is None for told in oracle.told)
+
+    oracle.networks.features = SimpleNamespace(config=FeatureConfig())  # type: ignore[attr-defined]
+    config = EvaluateConfig(split="train_pbr", json=target, roi="truth", solver="hard")
+    evaluate_dataset(config, dataset, {"dataset": "boxes"})
+    document = read_results(target)
+    assert asked[-1] == ("mid", "linemod", {"preset": None, "solver": "hard"})
+    assert all(r["roi"] == "truth" and r["solver"] == "hard" for r in document["records"])
+    assert document["command"].endswith("--solver hard --roi truth")
+    assert "regions of interest from the true pose" in capsys.readouterr().out
+
+
+def test_regions_of_interest_can_be_the_true_ones(opened, dataset, boxes):
+    oracle = Oracle(opened, boxes)
+    pairs = read_pairs(dataset)
+    evaluate_pairs(oracle, opened, pairs, boxes, truth_roi_scale=1.4, progress=False)
+    for pair, (views, rois) in zip(pairs, oracle.told, strict=True):
+        scene = opened.scene(pair.scene_id)
+        assert len(rois) == len(views) == 2
+        for image_id, roi in zip((pair.ref_image_id, pair.second_image_id), rois, strict=True):
+            image = scene[image_id]
+            model = next(m for m in boxes.values() if m.obj_id == pair.target_obj_id)
+            T = image.annotation(model.obj_id).T_cam_obj
+            corners = project(transform(T, model.vertices), image.K)
+            np.testing.assert_allclose(roi.centre, project(T[:3, 3], image.K), atol=1e-6)
+            assert np.ptp(corners, axis=0).max() < roi.side < 2.5 * np.ptp(corners, axis=0).max()
+    evaluate_pairs(oracle, opened, pairs[:1], boxes, views=1, truth_roi_scale=1.4, progress=False)
+    assert [len(part) for part in oracle.told[-1]] == [1, 1]
+
+
+def test_depth_is_given_where_it_is_asked_for(dataset_with_depth, dataset, opened, boxes):
+    with_depth = read_dataset(dataset_with_depth, "train_pbr")
+    pairs = read_pairs(dataset_with_depth)[:2]
+    for depth in (True, False):
+        oracle = Oracle(with_depth, boxes)
+        evaluate_pairs(oracle, with_depth, pairs, boxes, depth=depth, progress=False)
+        assert oracle.told
+        for pair, (views,) in zip(pairs, oracle.told, strict=True):
+            scene = with_depth.scene(pair.scene_id)
+            for view, number in zip(views, (pair.ref_image_id, pair.second_image_id), strict=True):
+                if depth:
+                    assert np.array_equal(view.depth, read_depth(scene[number]))
+                else:
+                    assert view.depth is None
+    with pytest.raises(ValueError, match=r"has no depth maps.*--depth"):
+        evaluate_pairs(
+            Oracle(opened, boxes), opened, read_pairs(dataset), boxes, depth=True, progress=False
+        )
+
+
+def test_outcomes_keep_the_gap_and_are_summed_up_for_each(
+    opened, dataset, boxes, monkeypatch, tmp_path
+):
+    pairs = [replace(p, gap=(1, 5)[i % 2]) for i, p in enumerate(read_pairs(dataset))]
+    write_pairs(tmp_path / "pairs.json", pairs)
+    outcomes = evaluate_pairs(Oracle(opened, boxes), opened, pairs, boxes, progress=False)
+    assert [o.gap for o in outcomes] == [1, 5] * 3
+    oracle = Oracle(opened, boxes)
+    oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
+    monkeypatch.setattr("two_view_pose.pose_estimator.load", lambda *a, **k: oracle)
+    config = EvaluateConfig(split="train_pbr", pairs=tmp_path / "pairs.json")
+    records = evaluate_dataset(config, dataset, {})
+    counts = {
+        r.get("gap"): r["n"]
+        for r in records
+        if r["metric"] == "add_s_recall" and r["object"] == "mean"
+    }
+    assert counts == {None: 6, 1: 3, 5: 3}
 
 
 def test_the_table_names_every_object(capsys):

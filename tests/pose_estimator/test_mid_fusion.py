@@ -5,85 +5,18 @@ import copy
 import numpy as np
 import pytest
 import torch
-from two_view_pose.pose_estimator.estimate import PoseEstimate, Roi
-from two_view_pose.pose_estimator.frontend import EncodedView, grid_matrix
+from two_view_pose.pose_estimator.estimate import PoseEstimate
 from two_view_pose.pose_estimator.geometry import (
     LINEMOD_K,
     View,
-    crop_matrix,
     invert,
     make_transform,
-    project,
     transform,
 )
-from two_view_pose.pose_estimator.metrics import add_or_add_s
-from two_view_pose.pose_estimator.mid_fusion import MidFusionEstimator, expected_pixel
+from two_view_pose.pose_estimator.mid_fusion import MidFusionEstimator
 from two_view_pose.pose_estimator.networks import PoseNetworks
 from two_view_pose.pose_estimator.single_view import SingleViewEstimator
-
-T_WORLD_OBJ = make_transform(
-    np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1.0]]), np.array([0.03, -0.02, 0.01])
-)
-
-
-def camera(degrees: float) -> np.ndarray:
-    """T_cam_world of a camera on a circle around the world's origin, looking down at it."""
-    azimuth, elevation = np.radians([degrees, 50.0])
-    flat = np.cos(elevation)
-    out = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
-    right = np.cross(-out, (0, 0, 1)) / flat
-    return make_transform(np.stack([right, np.cross(-out, right), -out]), np.array([0, 0, 0.9]))
-
-
-def view(degrees: float) -> View:
-    return View(np.zeros((480, 640, 3), np.uint8), LINEMOD_K, camera(degrees))
-
-
-class PerfectVotes:
-    """Answers for the 2D part from the truth; ``twist`` maps a view's number to a symmetry."""
-
-    def __init__(self, networks: PoseNetworks, twist: tuple[int, ...] = (), noise: float = 0.0):
-        self.networks = networks
-        self.twist = twist
-        self.rng = np.random.default_rng(0)
-        self.noise = noise
-        self.calls = 0
-        self._bfloat16 = False
-
-    def encode(self, view, index, prior=None, roi=None) -> EncodedView:
-        model = list(self.networks.objects.values())[index]
-        symmetry = self.twist[self.calls % len(self.twist)] if self.twist else 0
-        self.calls += 1
-        T = view.T_cam_world @ T_WORLD_OBJ @ model.symmetries[symmetry]
-        config = self.networks.features.config
-        centre = project(T[:3, 3], view.K)
-        side = 1.4 * model.diameter * view.K[0, 0] / T[2, 3]
-        to_crop = crop_matrix(centre + np.array([4, -3]), side, config.crop)
-        to_grid = grid_matrix(config.stride) @ to_crop
-        votes = project(transform(T, model.keypoints), to_grid @ view.K)
-        return EncodedView(
-            view=view,
-            roi=Roi(centre, side, 0.9),
-            K_grid=to_grid @ view.K,
-            to_image=np.linalg.inv(to_grid),
-            volume=torch.zeros(config.volume_channels, config.grid, config.grid),
-            vote_mean=votes + self.rng.normal(0, 1, votes.shape) * self.noise,
-            vote_covariance=np.tile(np.eye(2) * max(self.noise, 0.2) ** 2, (9, 1, 1)),
-            vote_score=np.ones(9),
-            mask=np.ones((config.grid, config.grid)),
-        )
-
-
-class Garbage(PerfectVotes):
-    """Votes anywhere, with any confidence."""
-
-    def encode(self, view, index, prior=None, roi=None) -> EncodedView:
-        good = super().encode(view, index)
-        scale = 10.0 ** self.rng.uniform(-2, 5)
-        object.__setattr__(good, "vote_mean", self.rng.normal(16, scale, (9, 2)))
-        covariance = np.tile(np.eye(2) * 10.0 ** self.rng.uniform(-3, 5), (9, 1, 1))
-        object.__setattr__(good, "vote_covariance", covariance)
-        return good
+from votes import T_WORLD_OBJ, Garbage, PerfectVotes, camera, check_sound, error, view
 
 
 @pytest.fixture(scope="module")
@@ -99,23 +32,6 @@ def estimate(networks, frontend, views, name="brick", method=MidFusionEstimator)
     estimator = method(networks)
     estimator.frontend = frontend
     return estimator.estimate(views, name)
-
-
-def error(found: PoseEstimate, networks: PoseNetworks, name: str, degrees: float) -> float:
-    """ADD(-S) in diameters."""
-    model = networks.objects[name]
-    return add_or_add_s(found.T_cam_obj, camera(degrees) @ T_WORLD_OBJ, model) / model.diameter
-
-
-def check_sound(found: PoseEstimate, views: int) -> None:
-    T = found.T_cam_obj
-    assert T.dtype == np.float64 and np.isfinite(T).all()
-    assert np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-9)
-    assert np.linalg.det(T[:3, :3]) > 0 and np.array_equal(T[3], [0, 0, 0, 1])
-    assert found.keypoints.shape == (9, 3) and np.isfinite(found.keypoints).all()
-    assert found.keypoint_covariance.shape == (9, 3, 3)
-    assert np.isfinite(found.keypoint_covariance).all()
-    assert len(found.rois) == views
 
 
 @pytest.mark.parametrize("method", [SingleViewEstimator, MidFusionEstimator])
@@ -215,16 +131,6 @@ def test_the_world_does_not_matter(trusting):
         object.__setattr__(e, "view", v)
     there = estimator.fuse(encoded, "brick", first)
     assert np.allclose(here.T_cam_obj, there.T_cam_obj, atol=1e-4)
-
-
-def test_the_second_view_is_told_where_to_look(trusting):
-    first = estimate(trusting, PerfectVotes(trusting), [view(20)])
-    pixel, sigma = expected_pixel(first, view(20), view(70))
-    expected = project((camera(70) @ T_WORLD_OBJ)[:3, 3], LINEMOD_K)
-    assert np.abs(pixel - expected).max() < 1 and 10 < sigma < 200
-    behind = View(np.zeros((8, 8, 3), np.uint8), LINEMOD_K, make_transform(np.eye(3), [0, 0, -5.0]))
-    pixel, sigma = expected_pixel(first, view(20), behind)
-    assert np.isfinite(pixel).all() and np.isfinite(sigma)
 
 
 @pytest.mark.parametrize("method", [SingleViewEstimator, MidFusionEstimator])

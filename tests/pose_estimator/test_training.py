@@ -1,22 +1,31 @@
 """The verb: every stage takes a step on a tiny dataset, and the weights load."""
 
+import copy
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from boxes_with_depth import box_depth
+from safetensors.torch import load_file
 from two_view_pose import assets, pose_estimator
+from two_view_pose.pose_estimator import crops, trainer, training
+from two_view_pose.pose_estimator.bop import read_dataset, read_mask, read_rgb
+from two_view_pose.pose_estimator.bop_writer import BopFrame, write_scene
 from two_view_pose.pose_estimator.crops import CropPack
 from two_view_pose.pose_estimator.dataset import TrainingSet
+from two_view_pose.pose_estimator.depth_stage import CascadeStage
 from two_view_pose.pose_estimator.networks import PoseNetworks
-from two_view_pose.pose_estimator.stages import VolumeStage
+from two_view_pose.pose_estimator.stages import DetectorStage, FeatureStage
 from two_view_pose.pose_estimator.training import (
     TrainEstimatorConfig,
     _describe_data,
     train_estimator,
 )
-from two_view_pose.pose_estimator.weights import read_header
+from two_view_pose.pose_estimator.volume_stage import VolumeStage
+from two_view_pose.pose_estimator.weights import read_header, save_weights
 
 
 def test_unknown_stages_are_named(tmp_path: Path):
@@ -29,11 +38,9 @@ def test_all_stages_end_in_weights_that_load(
     dataset: Path, pack: CropPack, boxes, tmp_path: Path, monkeypatch
 ):
     monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
-    for name, size in (("detector", 2), ("features", 2), ("volume", 2)):
-        from two_view_pose.pose_estimator import stages, training
-
-        monkeypatch.setitem(training._STAGES[name], "batch", size)
-        stage = getattr(stages, f"{'Feature' if name == 'features' else name.title()}Stage")
+    stages = {"detector": DetectorStage, "features": FeatureStage, "volume": VolumeStage}
+    for name, stage in stages.items():
+        monkeypatch.setitem(training._STAGES[name], "batch", 2)
         monkeypatch.setattr(stage, "validate", lambda self: {"figure": 0.5})
     config = TrainEstimatorConfig(
         data=dataset, out=tmp_path / "out", detector_steps=1, feature_steps=1, volume_steps=1,
@@ -48,6 +55,73 @@ def test_all_stages_end_in_weights_that_load(
     again = path.read_bytes()
     train_estimator(config)  # finished: nothing is trained again
     assert path.read_bytes() == again
+
+
+@pytest.fixture
+def dataset_with_depth(dataset: Path, boxes, tmp_path: Path, monkeypatch) -> Path:
+    """Two pictures of each of two scenes, with the depth of the boxes alone."""
+    monkeypatch.setattr(crops, "ProcessPoolExecutor", lambda n, mp_context: ThreadPoolExecutor(n))
+    models = {model.obj_id: model for model in boxes.values()}
+    source = read_dataset(dataset, "train_pbr")
+    for scene_id in source.scene_ids[:2]:
+        frames = []
+        for image in list(source.scene(scene_id).values())[:2]:
+            depth = np.full((480, 640), np.inf)
+            for a in image.annotations:
+                box = box_depth(models[a.obj_id], a.T_cam_obj, image.K, depth.shape)
+                depth = np.where(box > 0, np.minimum(depth, box), depth)
+            frames.append(
+                BopFrame(
+                    read_rgb(image), image.K, image.T_cam_world, image.annotations,
+                    [read_mask(a) for a in image.annotations],
+                    np.where(np.isfinite(depth), depth, 0),
+                )
+            )  # fmt: skip
+        write_scene(tmp_path / "deep", "train_pbr", scene_id, frames)
+    return tmp_path / "deep"
+
+
+def test_a_cascade_is_added_to_finished_weights(
+    dataset_with_depth: Path, boxes, networks: PoseNetworks, tmp_path: Path, monkeypatch
+):
+    monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
+    monkeypatch.setitem(training._STAGES["cascade"], "batch", 1)
+    monkeypatch.setattr(CascadeStage, "validate", lambda self: {"figure": 0.5})
+    finished = copy.copy(networks)
+    finished.trained = frozenset({"detector", "features", "volume"})
+    first = tmp_path / "first.safetensors"
+    save_weights(finished, first, {"what": "three parts", "trained_on": "boxes"})
+    config = TrainEstimatorConfig(
+        data=dataset_with_depth, out=tmp_path / "out", stages=("cascade",), init=str(first),
+        cascade_steps=1, validation=0.3, threads=1,
+    )  # fmt: skip
+    path = train_estimator(config)
+    header = read_header(path)
+    assert header["trained"] == ["detector", "features", "volume", "cascade"]
+    assert header["training"]["steps"] == {"cascade": 1}
+    assert header["started_from"]["trained_on"] == "boxes"
+    before, after = load_file(first), load_file(path)
+    assert all(torch.equal(before[name], after[name]) for name in before)
+    added = [name for name in after if name not in before]
+    assert added and all(name.startswith("cascade.") for name in added)
+    assert pose_estimator.load("early", path).object_names == ("brick", "crate")
+    with pytest.raises(ValueError, match="lack what 'rgbd' needs"):
+        pose_estimator.load("rgbd", path)
+
+
+def test_new_features_make_the_cascade_on_the_old_ones_useless(
+    dataset_with_depth: Path, boxes, networks: PoseNetworks, tmp_path: Path, monkeypatch
+):
+    monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
+    monkeypatch.setattr(trainer, "run_stage", lambda stage, loop, log: None)
+    finished = copy.copy(networks)
+    finished.trained = frozenset({"detector", "features", "cascade"})
+    save_weights(finished, tmp_path / "first.safetensors", {})
+    config = TrainEstimatorConfig(
+        data=dataset_with_depth, out=tmp_path / "out", stages=("features",), feature_steps=1,
+        init=str(tmp_path / "first.safetensors"), validation=0.3, threads=1,
+    )  # fmt: skip
+    assert read_header(train_estimator(config))["trained"] == ["detector", "features"]
 
 
 def test_the_header_says_how_the_data_was_made(tmp_path: Path):

@@ -184,7 +184,11 @@ def test_the_paper_preset_has_the_papers_grids():
     count, half = paper.fine.shape(diameter)
     assert 2 * float(half) / count == pytest.approx(0.005, rel=0.02)
     assert 2 * float(half) > 0.2
-    assert not paper.evidence
+    assert not paper.evidence and paper.coarse_pose
+    # Voxels keep their size also where a batch mixes objects: its volumes fit the largest.
+    count, half = paper.fine.shape(torch.tensor([0.1, 0.2831, 0.15]))
+    assert torch.allclose(2 * half / count, torch.full((3,), 0.005))
+    assert 1.3 * 0.2831 <= 2 * float(half[0]) < 1.3 * 0.2831 + 0.0051
 
 
 def test_the_fast_preset_scales_with_the_object():

@@ -9,7 +9,12 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 from two_view_pose import pose_estimator
-from two_view_pose.pose_estimator.networks import NetworkConfig, PoseNetworks
+from two_view_pose.pose_estimator.networks import (
+    OPTIONAL_PARTS,
+    PARTS,
+    NetworkConfig,
+    PoseNetworks,
+)
 from two_view_pose.pose_estimator.weights import (
     find_weights,
     load_networks,
@@ -55,8 +60,9 @@ def test_what_is_saved_comes_back(saved: Path, networks: PoseNetworks):
         assert np.array_equal(loaded.objects[name].keypoints, model.keypoints)
         assert np.array_equal(loaded.objects[name].symmetries, model.symmetries)
     before = networks.state_dict()
+    stored = load_file(saved)
     for name, tensor in loaded.state_dict().items():
-        if not name.endswith("num_batches_tracked"):
+        if name in stored:
             # Half precision has eleven bits.
             assert torch.allclose(tensor, before[name].float(), rtol=2**-10, atol=1e-6), name
     assert saved.stat().st_size < 25e6
@@ -82,11 +88,68 @@ def test_the_same_file_is_read_once(saved: Path):
     assert load_networks(saved) is load_networks(str(saved))
 
 
-def test_load_gives_estimators(saved: Path):
+@pytest.fixture(scope="module")
+def complete(networks: PoseNetworks, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights whose parts are all said to be trained."""
+    path = tmp_path_factory.mktemp("complete") / "boxes.safetensors"
+    trained = networks.trained
+    networks.trained = frozenset(PARTS)
+    save_weights(networks, path, {"what": "all parts"})
+    networks.trained = trained
+    return path
+
+
+def test_load_gives_estimators(complete: Path):
     for method in pose_estimator.METHODS:
-        assert pose_estimator.load(method, saved).object_names == ("brick", "crate")
-    with pytest.raises(ValueError, match="unknown method 'late-ish'; there are single, mid"):
-        pose_estimator.load("late-ish", saved)
+        assert pose_estimator.load(method, complete).object_names == ("brick", "crate")
+    with pytest.raises(ValueError, match="'late-ish'; there are single, early, late, mid, rgbd"):
+        pose_estimator.load("late-ish", complete)
+
+
+@pytest.mark.parametrize(("method", "part"), [("early", "cascade"), ("rgbd", "points")])
+def test_a_method_whose_part_was_not_trained_says_how_to_train_it(saved: Path, method, part):
+    pose_estimator.load("single", saved)
+    command = f"generated with --depth: .* train-estimator --stages {part} --init {saved} --data"
+    with pytest.raises(ValueError, match=f"lack what '{method}' needs.*'{part}'.*{command}"):
+        pose_estimator.load(method, saved)
+
+
+def test_optional_parts_are_written_once_they_are_trained(
+    saved: Path, complete: Path, networks: PoseNetworks
+):
+    assert read_header(saved)["trained"] == []
+    assert not [n for n in load_file(saved) if n.startswith(OPTIONAL_PARTS)]
+    assert read_networks(saved).trained == frozenset()
+    assert read_header(complete)["trained"] == list(PARTS)
+    loaded = read_networks(complete)
+    assert loaded.trained == set(PARTS)
+    for part in OPTIONAL_PARTS:
+        theirs = getattr(networks, part).state_dict()
+        for name, tensor in getattr(loaded, part).state_dict().items():
+            if not name.endswith("num_batches_tracked"):
+                assert torch.allclose(tensor, theirs[name].float(), rtol=2**-10, atol=1e-6), name
+
+
+def test_the_first_weights_did_not_say_what_was_trained(damaged: Path):
+    header = read_header(damaged)
+    del header["trained"]
+    damaged.with_suffix(".json").write_text(json.dumps(header))
+    assert read_networks(damaged).trained == {"detector", "features", "volume"}
+    with pytest.raises(ValueError, match="lack what 'early' needs"):
+        pose_estimator.load("early", damaged)
+
+
+def test_a_part_that_should_be_there_is_missed(damaged: Path):
+    change_header(damaged, trained=["detector", "features", "cascade"])
+    with pytest.raises(ValueError, match=r"does not fit its header: cascade\."):
+        read_networks(damaged)
+
+
+@pytest.mark.parametrize("trained", [["magic"], "volume", 3, [3], None])
+def test_a_header_that_trained_unknown_parts(damaged: Path, trained):
+    change_header(damaged, trained=trained)
+    with pytest.raises(ValueError, match=r"trained|does not describe networks"):
+        read_networks(damaged)
 
 
 def test_unknown_names_and_missing_files(tmp_path: Path):

@@ -1,0 +1,36 @@
+"""The verb ``compare``: makes the two tests where they are missing, then runs the study on them."""
+
+from __future__ import annotations
+
+from ..pose_estimator.study_config import CompareConfig
+
+
+def compare(config: CompareConfig) -> None:
+    """Runs the comparative study and writes results.json, report.html and figures/ to its folder.
+
+    Raises:
+        ValueError: if no method can be run, or the folder holds another study's tests.
+        FileNotFoundError: if there are no such weights.
+        GraphicsUnavailable: if a test has to be rendered and there is no OpenGL to draw with.
+    """
+    from ..pose_estimator.report import write_report
+    from ..pose_estimator.results import write_results
+
+    if not config.report_only:
+        from ..pose_estimator.study import StudySet
+        from ..pose_estimator.study_run import Study
+        from ..pose_estimator.study_units import TESTS
+        from .study_data import ensure_test_set
+
+        reduced = config.reduced()
+        tests = {
+            name: StudySet.open(name, ensure_test_set(name, config.test_data, config.quick))
+            for name in TESTS
+        }
+        records = Study(reduced, tests).run()
+        write_results(
+            config.out / "results.json", records, command=config.command(), seed=config.seed
+        )
+    page = write_report(config.out)
+    print(f"figures: {config.out / 'results.json'}")
+    print(f"page: {page}")

@@ -1,0 +1,219 @@
+"""The OpenGL context of a scene: opened late, shared by its renderers, closed in time.
+
+MuJoCo's classic renderer without multisampling and with a smaller shadow map, which is what makes
+software OpenGL quick.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import weakref
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..pose_estimator.geometry import invert
+from .camera import frustum, opencv_to_opengl
+from .gl import mujoco, open_context
+from .world import FAR, MOVABLE, NEAR, PROBED, ROOM
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+SHADOW_MAP_SIZE = 512
+LARGEST_SIDE = 4096
+_MAX_GEOMS = 200
+
+
+class Graphics:
+    """The GL context of one scene: made at the first picture, in the process that draws it.
+
+    All renderers of a scene share it, so meshes and textures lie in memory once.
+
+    Args:
+        scene: what is drawn.
+        samples: of multisampling; none is several times faster.
+        shadow_map: side of the shadow map in pixels.
+    """
+
+    def __init__(self, scene: Scene, samples: int = 0, shadow_map: int = SHADOW_MAP_SIZE) -> None:
+        self._quality = (samples, shadow_map)
+        self._world = scene.world
+        self._data = scene.data
+        self._versions = scene.texture_versions
+        self._uploaded = np.zeros_like(self._versions)
+        self._gl: Any = None
+        self._context: mujoco.MjrContext | None = None
+        self._pid = -1
+        self._scene: mujoco.MjvScene | None = None
+        self._option = mujoco.MjvOption()
+        self._camera = mujoco.MjvCamera()
+
+    def draw(
+        self,
+        T_cam_world: np.ndarray,
+        K: np.ndarray,
+        height: int,
+        width: int,
+        *,
+        segment: bool = False,
+        groups: tuple[int, ...] = (ROOM, MOVABLE),
+        shadows: bool = True,
+    ) -> mujoco.MjrRect:
+        """Draws into the lower left corner of the buffer; :meth:`read` gets the pixels."""
+        context = self._ready(height, width)
+        scene = self._scene
+        assert scene is not None
+        self._option.geomgroup[:] = 0
+        self._option.geomgroup[list(groups)] = 1
+        mujoco.mjv_updateScene(
+            self._world.model,
+            self._data,
+            self._option,
+            None,
+            self._camera,
+            mujoco.mjtCatBit.mjCAT_ALL.value,
+            scene,
+        )
+        aim(scene, T_cam_world, K, height, width)
+        scene.flags[:] = 0
+        scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = 1
+        if segment:
+            scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = 1
+            scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = 1
+        elif shadows:
+            scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 1
+        rect = mujoco.MjrRect(0, 0, width, height)
+        mujoco.mjr_render(rect, scene, context)
+        return rect
+
+    def read(
+        self, rect: mujoco.MjrRect, rgb: bool = True, depth: bool = False
+    ) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """The picture just drawn: RGB (H, W, 3) uint8 and z-depth (H, W) float32 in metres."""
+        shape = (rect.height, rect.width)
+        pixels = np.empty((*shape, 3), dtype=np.uint8) if rgb else None
+        buffer = np.empty(shape, dtype=np.float32) if depth else None
+        mujoco.mjr_readPixels(pixels, buffer, rect, self._context)
+        if pixels is not None:
+            pixels = np.ascontiguousarray(pixels[::-1])
+        if buffer is not None:
+            # The buffer holds d = near (far - z) / (z (far - near)), reversed for precision.
+            reciprocal = buffer[::-1] * np.float32((FAR - NEAR) / (FAR * NEAR)) + np.float32(
+                1 / FAR
+            )
+            buffer = np.float32(1.0) / reciprocal
+        return pixels, buffer
+
+    def geoms(self, rect: mujoco.MjrRect) -> np.ndarray:
+        """The geom at each pixel of a picture drawn with ``segment``, (H, W) int32, else -1."""
+        pixels, _ = self.read(rect)
+        assert pixels is not None and self._scene is not None
+        table = np.full(self._scene.ngeom + 1, -1, dtype=np.int32)
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            if geom.segid >= 0 and geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
+                table[geom.segid + 1] = geom.objid
+        segments = pixels[..., 0].astype(np.int32)
+        if self._scene.ngeom >= 256:
+            segments += pixels[..., 1].astype(np.int32) << 8
+        return table[segments]
+
+    def silhouette(
+        self, geom: int, T_cam_world: np.ndarray, K: np.ndarray, height: int, width: int
+    ) -> np.ndarray:
+        """Where ``geom`` would be seen with nothing before it, (H, W) bool."""
+        group = self._world.model.geom_group
+        before = int(group[geom])
+        group[geom] = PROBED
+        try:
+            rect = self.draw(T_cam_world, K, height, width, segment=True, groups=(PROBED,))
+        finally:
+            group[geom] = before
+        pixels, _ = self.read(rect)
+        assert pixels is not None
+        return pixels[..., 0] > 0
+
+    def close(self) -> None:
+        """Frees the context; the next picture opens another."""
+        if self._context is not None and self._pid == os.getpid():
+            self._gl.make_current()
+            self._context.free()
+            self._gl.free()
+        self._gl = self._context = self._scene = None
+
+    def __del__(self) -> None:
+        self.close()
+
+    def _ready(self, height: int, width: int) -> mujoco.MjrContext:
+        model = self._world.model
+        if self._context is not None and self._pid != os.getpid():
+            # A forked child: the context belongs to the parent and must not be touched.
+            self._keep = (self._gl, self._context)
+            self._gl = self._context = None
+        if self._context is None:
+            self._gl = open_context(LARGEST_SIDE, LARGEST_SIDE)
+            self._gl.make_current()
+            quality = model.vis.quality
+            default = quality.offsamples, quality.shadowsize
+            quality.offsamples, quality.shadowsize = self._quality
+            try:
+                self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
+            finally:
+                quality.offsamples, quality.shadowsize = default
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+            self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+            self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
+            self._uploaded[:] = self._versions
+            self._pid = os.getpid()
+            if not _open_graphics:
+                # After EGL's own handler, hence run before it: freed while the library lives.
+                atexit.unregister(_close_all)
+                atexit.register(_close_all)
+            _open_graphics.add(self)
+        else:
+            self._gl.make_current()
+        if width > self._context.offWidth or height > self._context.offHeight:
+            mujoco.mjr_resizeOffscreen(
+                max(width, self._context.offWidth),
+                max(height, self._context.offHeight),
+                self._context,
+            )
+        stale = np.flatnonzero(self._uploaded != self._versions)
+        for texture in stale:
+            mujoco.mjr_uploadTexture(model, self._context, int(texture))
+        self._uploaded[:] = self._versions
+        self._context.mat_texrepeat[: 2 * model.nmat] = model.mat_texrepeat.reshape(-1)
+        return self._context
+
+
+_open_graphics: weakref.WeakSet[Graphics] = weakref.WeakSet()
+
+
+def _close_all() -> None:
+    for graphics in list(_open_graphics):
+        graphics.close()
+
+
+def aim(
+    scene: mujoco.MjvScene, T_cam_world: np.ndarray, K: np.ndarray, height: int, width: int
+) -> None:
+    """Points MuJoCo's cameras of an updated scene where an OpenCV camera looks.
+
+    Args:
+        scene: its cameras are changed.
+        T_cam_world: world to OpenCV camera, (4, 4).
+        K: camera matrix in pixels, (3, 3).
+        height: of the picture, pixels.
+        width: of the picture, pixels.
+    """
+    T_world_camera = invert(opencv_to_opengl(T_cam_world))
+    left, right, bottom, top = frustum(K, height, width, NEAR)
+    for camera in scene.camera:
+        camera.pos = T_world_camera[:3, 3]
+        camera.forward = -T_world_camera[:3, 2]
+        camera.up = T_world_camera[:3, 1]
+        camera.frustum_center = (left + right) / 2
+        camera.frustum_width = (right - left) / 2
+        camera.frustum_bottom, camera.frustum_top = bottom, top
+        camera.frustum_near, camera.frustum_far = NEAR, FAR

@@ -1,0 +1,74 @@
+"""What each scene of a generated dataset is: its kind, its target, its pictures and their pairs.
+
+A scene's pictures are either views spread over the sphere around its target, the first of them the
+reference view, or frames of a hand-held camera's sequence, several of which are reference views.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .generate import GenerateConfig
+
+TURNS = {"mixed": ("linemod", "occlusion"), "all": ("linemod", "occlusion", "heap")}
+"""Kinds of scenes that stand for several, which take turns."""
+
+
+@dataclass(frozen=True)
+class ScenePlan:
+    """One scene, before anything is drawn.
+
+    Attributes:
+        kind: "linemod", "occlusion" or "heap".
+        target: name of the object to be found; of a heap, all objects are.
+        length: frames of the sequence; None where views are spread over the sphere.
+        frames: numbers of the frames that become pictures, ascending.
+        pairs: reference view and second view, by number.
+    """
+
+    kind: str
+    target: str
+    length: int | None
+    frames: tuple[int, ...]
+    pairs: tuple[tuple[int, int], ...]
+
+
+def plan_scene(config: GenerateConfig, scene_id: int, names: Sequence[str]) -> ScenePlan:
+    """What scene ``scene_id`` is; ``names`` are those of the dataset's objects."""
+    target = names[scene_id % len(names)]
+    kinds = TURNS.get(config.scene, (config.scene,))
+    turn = scene_id // len(names)
+    kind = kinds[turn % len(kinds)]
+    hand_held = config.sampling == "hand-held"
+    length, references = config.views, config.references
+    if config.sampling == "mixed":
+        hand_held = turn // len(kinds) % 2 == 1
+        length, references = 1 + max(config.gaps), 1
+    if not hand_held:
+        pairs = tuple((0, second) for second in range(1, config.views))
+        return ScenePlan(kind, target, None, tuple(range(config.views)), pairs)
+    pairs = tuple(
+        (first, first + gap)
+        for first in reference_frames(length, config.gaps, references)
+        for gap in config.gaps
+    )
+    frames = tuple(sorted({frame for pair in pairs for frame in pair}))
+    return ScenePlan(kind, target, length, frames, pairs)
+
+
+def reference_frames(length: int, gaps: Sequence[int], count: int) -> list[int]:
+    """Frames that still have a frame at every gap after them, spread evenly over the sequence.
+
+    Args:
+        length: frames of the sequence.
+        gaps: frames from a reference view to its second views.
+        count: how many are wanted; 0 for all there are.
+    """
+    possible = length - max(gaps)
+    count = min(count or possible, possible)
+    return [int(frame) for frame in np.linspace(0, possible - 1, count).round()]

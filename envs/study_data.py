@@ -1,0 +1,109 @@
+"""The data of the comparative study: what it is trained on, tuned on and tested on.
+
+Frozen: a set is its description, and whoever renders it gets the same pictures. Every scene draws
+its textures, its arrangement and its camera's path from the set's seed and the scene's number, so
+sets of different seeds have nothing in common but the objects.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from .generate import GenerateConfig, generate
+
+LMO_OBJECTS = ("ape", "can", "cat", "driller", "duck", "eggbox", "glue", "holepuncher")
+"""The objects of LM-O, all of them in every heap of the Occlusion-style test."""
+
+TRAINING_SET = GenerateConfig(
+    out=Path("training"),
+    scenes=3120,
+    views=4,
+    scene="all",
+    sampling="mixed",
+    depth=True,
+    seed=7001,
+)
+"""Views around the sphere and frames of hand-held sequences by turns, so that baselines of all
+sizes are trained. As a command: ``generate --out training --scenes 3120 --views 4 --scene all
+--sampling mixed --depth --seed 7001``."""
+
+_LINEMOD = GenerateConfig(
+    out=Path("linemod"),
+    scenes=26 * 13,
+    views=26,
+    scene="linemod",
+    sampling="hand-held",
+    references=4,
+    split="test",
+    seed=8001,
+    depth=True,
+    depth_noise=True,
+    masks=False,
+    jpeg_quality=95,
+)
+
+_OCCLUSION = replace(
+    _LINEMOD,
+    out=Path("occlusion"),
+    scenes=40,
+    views=31,
+    objects=LMO_OBJECTS,
+    scene="heap",
+    references=3,
+    seed=8002,
+)
+
+TEST_SETS = {
+    "linemod": _LINEMOD,
+    "occlusion": _OCCLUSION,
+    "linemod-validation": replace(
+        _LINEMOD, out=Path("linemod-validation"), scenes=4 * 13, seed=9001
+    ),
+    "occlusion-validation": replace(
+        _OCCLUSION, out=Path("occlusion-validation"), scenes=8, seed=9002
+    ),
+}
+"""What estimators are measured on, by name: the two tests, and a set like each for tuning.
+
+LineMOD-style: each of 13 objects is the target of 26 sequences in light clutter, 4 reference views
+each. Occlusion-style: 40 sequences of 3 reference views past a heap of LM-O's 8 objects, all of
+them targets where at least a tenth of them is seen. Second views follow 1, 5 and 10 frames after
+the reference view. Depth is as a Kinect sees it."""
+
+
+def ensure_test_set(name: str, root: Path, quick: bool = False, workers: int = 2) -> Path:
+    """Renders what is missing of a test or validation set.
+
+    Args:
+        name: one of :data:`TEST_SETS`.
+        root: the set becomes a folder of this one.
+        quick: a few sequences, enough to see that everything works.
+        workers: processes that render.
+
+    Returns:
+        The folder of the BOP dataset; its split is "test".
+
+    Raises:
+        ValueError: if there is no such set, or its folder holds something else.
+    """
+    if name not in TEST_SETS:
+        raise ValueError(f"test set must be one of {', '.join(TEST_SETS)}, got {name!r}")
+    config = replace(TEST_SETS[name], out=Path(root) / TEST_SETS[name].out, workers=workers)
+    if quick:
+        config = replace(
+            config,
+            out=config.out.with_name(f"{name}-quick"),
+            scenes=1 if config.scene == "heap" else 3,
+            views=1 + max(config.gaps),
+            references=1,
+        )
+    generate(config)
+    return config.out
+
+
+def ensure_training_set(root: Path, workers: int = 2) -> Path:
+    """Renders what is missing of the training set; returns its folder below ``root``."""
+    config = replace(TRAINING_SET, out=Path(root) / TRAINING_SET.out, workers=workers)
+    generate(config)
+    return config.out

@@ -1,0 +1,97 @@
+"""Views of a symmetric object that mean different poses, made to mean the same one.
+
+Each view may have voted for another of the equivalent poses. A symmetry only renumbers the
+keypoints, so the numbering that triangulates best is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..assets.object_model import ObjectModel
+from .estimate import PoseEstimate
+from .frontend import EncodedView
+from .geometry import invert, project, transform
+from .multi_view_pnp import multi_view_pnp
+from .solvers import solve_pose
+from .symmetry import keypoint_permutations
+from .triangulation import triangulate
+
+_LARGEST_ERROR = 8.0
+"""Reprojection error in grid pixels from which a keypoint counts as plainly wrong."""
+
+
+def agree(
+    encoded: Sequence[EncodedView], model: ObjectModel
+) -> tuple[list[EncodedView], np.ndarray]:
+    """Renumbers the votes of the further views to the pose that the reference view means.
+
+    Args:
+        encoded: two views or more, the reference first.
+        model: the object.
+
+    Returns:
+        The views, and the keypoints (9, 3) in the reference camera, in metres, as the reference and
+        the last view triangulate them.
+    """
+    permutations = keypoint_permutations(model.keypoints, model.symmetries)
+    reference = encoded[0]
+    T_ref_world = invert(reference.view.T_cam_world)
+    agreed, points = [reference], np.empty((0, 3))
+    for view in encoded[1:]:
+        best = np.inf
+        chosen = np.arange(len(model.keypoints))
+        Ks = [reference.K_grid, view.K_grid]
+        cameras = [reference.view.T_cam_world, view.view.T_cam_world]
+        for permutation in permutations:
+            means = np.stack([reference.vote_mean, view.vote_mean[permutation]])
+            covariances = np.stack([reference.vote_covariance, view.vote_covariance[permutation]])
+            candidate, _ = triangulate(means, covariances, Ks, cameras)
+            residual = 0.0
+            for K, camera, mean in zip(Ks, cameras, means, strict=True):
+                seen = transform(camera @ T_ref_world, candidate)
+                error = np.linalg.norm(project(seen, K) - mean, axis=1)
+                residual += float(np.minimum(error, _LARGEST_ERROR).sum())
+            if residual < best:
+                best, chosen, points = residual, permutation, candidate
+        agreed.append(
+            replace(
+                view,
+                vote_mean=view.vote_mean[chosen],
+                vote_covariance=view.vote_covariance[chosen],
+                vote_score=view.vote_score[chosen],
+            )
+        )
+    return agreed, points
+
+
+def guess_centre(
+    encoded: Sequence[EncodedView], points: np.ndarray, model: ObjectModel, first: PoseEstimate
+) -> np.ndarray:
+    """The object's centre (3,) in the reference camera, from the votes of all views.
+
+    It is that of the pose that explains all votes, found from ``first`` and from the pose of the
+    triangulated keypoints. Triangulation alone would not do: with a baseline of a few centimetres
+    it is decimetres off.
+
+    Args:
+        encoded: the views, of one mind (see :func:`agree`).
+        points: triangulated keypoints (9, 3).
+        model: the object.
+        first: the best pose so far.
+    """
+    solution = multi_view_pnp(
+        model.keypoints,
+        np.stack([e.vote_mean for e in encoded]),
+        np.stack([e.vote_covariance for e in encoded]),
+        [e.K_grid for e in encoded],
+        [e.view.T_cam_world for e in encoded],
+        [first.T_cam_obj, solve_pose(model.keypoints, points, model.diameter)],
+    )
+    centre = transform(solution.T_cam_obj, model.keypoints[-1])
+    if not np.isfinite(centre).all() or not 0.1 < centre[2] < 10:
+        return first.keypoints[-1]
+    return centre

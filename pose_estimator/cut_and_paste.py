@@ -1,0 +1,162 @@
+"""Cut-and-paste on training crops: other objects before the target, other backgrounds behind it.
+
+Objects are cut out by their visible masks and pasted, as in PVNet (Peng et al., CVPR 2019, section
+4.1) after Dwibedi et al., "Cut, Paste and Learn", ICCV 2017. The target keeps its place in the
+crop, so its pose stays what it was; only what is seen of it changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from .crops import STORED_SIDE, CropPack
+
+BANK = 384
+"""How many crops are kept decoded to be pasted; decoding one anew would cost more than pasting."""
+
+_WHOLE = 0.7
+"""Visibility from which a target is whole enough to be cut out."""
+
+_LEAST_LEFT = 0.35
+"""Share of the target's visible pixels that an occluder must leave, or it is not pasted."""
+
+
+@dataclass(frozen=True)
+class CutAndPasteConfig:
+    """How often crops are changed.
+
+    Attributes:
+        occlude: probability that another object is pasted over the crop.
+        background: probability that everything but the target is replaced.
+
+    Raises:
+        ValueError: if one is not from 0 to 1.
+    """
+
+    occlude: float = 0.0
+    background: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("occlude", "background"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"cut-and-paste: {name} must be 0 to 1, got {getattr(self, name)}")
+
+
+class CropPaster:
+    """Pastes pieces of some targets' crops into the crops of others.
+
+    An occluder is never of the target's own kind, and a background comes from a frame that does not
+    show the target: a second instance would have to be found too.
+
+    Args:
+        pack: where the crops lie.
+        targets: the targets that pieces may be cut from, as indices into the pack.
+        config: how often.
+
+    Raises:
+        ValueError: if nothing of what is asked for can be done: the dataset shows one object alone,
+            or every frame shows all objects.
+    """
+
+    def __init__(self, pack: CropPack, targets: np.ndarray, config: CutAndPasteConfig):
+        self.pack = pack
+        self.config = config
+        whole = targets[pack.visibility[targets] >= _WHOLE]
+        rng = np.random.default_rng(0)
+        self.bank = np.sort(rng.choice(whole, min(BANK, len(whole)), replace=False))
+        self._pieces: dict[int, np.ndarray] = {}
+        kinds, frames = pack.object_index[self.bank], pack.frame_index[self.bank]
+        numbers = range(len(pack.object_names))
+        self._occluders = [self.bank[kinds != number] for number in numbers]
+        self._backgrounds = [
+            self.bank[~np.isin(frames, pack.frame_index[pack.object_index == number])]
+            for number in numbers
+        ]
+        shown = np.unique(pack.object_index[targets])
+        wanted = [
+            (what, any(len(pieces[number]) for number in shown))
+            for what, probability, pieces in (
+                ("a second object to put before one", config.occlude, self._occluders),
+                ("a frame that lacks an object to put behind it", config.background,
+                 self._backgrounds),
+            )
+            if probability > 0
+        ]  # fmt: skip
+        if wanted and not any(possible for _, possible in wanted):
+            raise ValueError(
+                f"cut-and-paste needs {' or '.join(what for what, _ in wanted)}, "
+                "and the dataset has none"
+            )
+
+    def paste(
+        self,
+        crop: np.ndarray,
+        mask: np.ndarray,
+        depth: np.ndarray | None,
+        object_index: int,
+        rng: np.random.Generator,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Changes one crop, or leaves it as it is.
+
+        Args:
+            crop: RGB uint8 (S, S, 3), around the target.
+            mask: its visible mask, uint8 0 to 255 (S, S).
+            depth: metres (S, S), 0 = unknown; or None.
+            object_index: which object the target is.
+            rng: source of randomness.
+
+        Returns:
+            New crop, mask and depth; the depth is unknown where something was pasted.
+        """
+        backgrounds, occluders = self._backgrounds[object_index], self._occluders[object_index]
+        if rng.random() < self.config.background and len(backgrounds):
+            piece = self._piece(int(backgrounds[rng.integers(len(backgrounds))]))
+            crop = blend(_window(piece[..., :3], len(mask), rng), crop, mask)
+            depth = None if depth is None else np.where(mask > 127, depth, np.float32(0))
+        if rng.random() < self.config.occlude and len(occluders):
+            piece = self._piece(int(occluders[rng.integers(len(occluders))]))
+            away, towards = rng.uniform(0.15, 0.45), rng.uniform(0, 2 * np.pi)
+            place = np.array([0.5 + away * np.cos(towards), 0.5 + away * np.sin(towards)])
+            scale, turn = np.exp(rng.uniform(-0.5, 0.2)), rng.uniform(-np.pi, np.pi)
+            moved = cv2.warpAffine(piece, _placement(place * len(mask), scale, turn), mask.shape)
+            over = np.ascontiguousarray(moved[..., 3])
+            left = cv2.multiply(mask, 255 - over, scale=1 / 255)
+            if cv2.sumElems(left)[0] >= _LEAST_LEFT * cv2.sumElems(mask)[0]:
+                crop, mask = blend(crop, np.ascontiguousarray(moved[..., :3]), over), left
+                depth = None if depth is None else np.where(over > 0, np.float32(0), depth)
+        return crop, mask, depth
+
+    def _piece(self, target: int) -> np.ndarray:
+        """A stored crop with its mask as fourth channel, (192, 192, 4), decoded once."""
+        if target not in self._pieces:
+            self._pieces[target] = np.dstack([self.pack.crop(target), self.pack.mask(target)])
+        return self._pieces[target]
+
+
+def blend(below: np.ndarray, above: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Lays a picture over another, uint8 (H, W, 3), as far as ``alpha`` says, uint8 (H, W)."""
+    weight = cv2.merge([alpha, alpha, alpha])
+    return cv2.add(
+        cv2.multiply(above, weight, scale=1 / 255),
+        cv2.multiply(below, 255 - weight, scale=1 / 255),
+    )
+
+
+def _placement(centre: np.ndarray, scale: float, turn: float) -> np.ndarray:
+    """The affine map (2, 3) that brings the middle of a stored crop to a place in another."""
+    cosine, sine = scale * np.cos(turn), scale * np.sin(turn)
+    linear = np.array([[cosine, -sine], [sine, cosine]])
+    middle = np.full(2, (STORED_SIDE - 1) / 2)
+    return np.column_stack([linear, centre - linear @ middle])
+
+
+def _window(picture: np.ndarray, side: int, rng: np.random.Generator) -> np.ndarray:
+    """A random window (side, side, 3) of a picture, mirrored or not; larger ones are scaled."""
+    if side > len(picture):
+        picture = cv2.resize(picture, (side, side), interpolation=cv2.INTER_LINEAR)
+    y, x = rng.integers(0, len(picture) - side + 1, 2)
+    window = picture[y : y + side, x : x + side]
+    return np.ascontiguousarray(window[:, ::-1] if rng.random() < 0.5 else window)

@@ -1,0 +1,191 @@
+"""The training of ``early``'s cascade: pairs of crops with depth, on top of frozen 2D features."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from .cascade import CascadeViews, DepthOutput, half_range
+from .dataset import TargetSample, batches, stack_targets
+from .stages import StageBase
+
+_Pair = tuple[TargetSample, TargetSample, np.ndarray]
+
+_LEVEL_WEIGHTS = (0.5, 1.0, 2.0)
+"""Of the stages' losses, as Cas-MVSNet has them."""
+
+_BACKGROUND = 0.1
+"""How much a pixel beside the object counts."""
+
+_STEEPEST = 6.0
+"""Widths of a crop pixel by which the depths of neighbours may differ; at an edge there is no depth
+to learn. A packed crop repeats pixels, so a slope may rise by two at once."""
+
+_GUESS_NOISE = 0.25
+"""Standard deviation of the guess of the centre's depth, in half ranges: the surface, which is at
+most half a diameter from the centre, is to stay in the range."""
+
+_WORST_GUESS = 0.5
+
+
+class Truth(NamedTuple):
+    """What a stage's map should be.
+
+    Attributes:
+        depth: (B, H, W) m, 0 where unknown.
+        mask: (B, H, W) covered fraction of each cell by the visible object.
+    """
+
+    depth: Tensor
+    mask: Tensor
+
+
+class CascadeStage(StageBase):
+    """The depth of the reference view from pairs; the 2D network stays as it is.
+
+    Training needs a dataset with depth maps; see :meth:`batches`.
+    """
+
+    name = "cascade"
+
+    def __init__(self, *args: Any, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        self.networks.features.requires_grad_(False)
+        models = self.train.models
+        self.diameters = torch.tensor([m.diameter for m in models], dtype=torch.float32)
+
+    @property
+    def module(self) -> torch.nn.Module:
+        return self.networks.cascade
+
+    def batches(self, start: int) -> Iterator[list[_Pair]]:
+        """Endless batches from number ``start`` on.
+
+        Raises:
+            ValueError: if the dataset has no depth maps.
+        """
+        if self.train.pack.depth(int(self.train.targets[0])) is None:
+            raise ValueError(
+                "the stage cascade needs depth maps, and the dataset has none: make one with "
+                "python -m two_view_pose generate --depth"
+            )
+        return batches(self.train.draw_pair, self.batch, self.seed, start)
+
+    def forward(
+        self, batch: list[_Pair], rng: np.random.Generator
+    ) -> tuple[list[DepthOutput], list[Truth]]:
+        """Runs a batch of pairs; the guess of the centre's depth is the truth with noise.
+
+        Returns:
+            What each stage says, and what it should say.
+        """
+        networks = self.networks
+        networks.features.eval()
+        count = len(batch)
+        tensors = stack_targets([s for first, second, _ in batch for s in (first, second)])
+        index = tensors["object"][::2]
+        diameter = self.diameters[index]
+        T_second_ref = torch.from_numpy(np.stack([T for _, _, T in batch])).float()
+        noise = np.clip(rng.normal(0, _GUESS_NOISE, count), -_WORST_GUESS, _WORST_GUESS)
+        guess = tensors["T_cam_obj"][::2, 2, 3] + torch.from_numpy(noise).float() * half_range(
+            networks.cascade.config.levels[0], diameter
+        )
+        with self.autocast():
+            with torch.no_grad():
+                maps = networks.features.encoder.pyramid(tensors["crop"])[:4]
+            outputs = networks.cascade(
+                CascadeViews(
+                    maps=tuple(m.unflatten(0, (count, 2)) for m in maps),
+                    K=tensors["K"].unflatten(0, (count, 2)),
+                    T_view_ref=torch.stack([torch.eye(4).expand(count, 4, 4), T_second_ref], 1),
+                ),
+                guess,
+                diameter,
+            )
+        depths = [first.depth for first, _, _ in batch if first.depth is not None]
+        depth, mask = torch.from_numpy(np.stack(depths)), tensors["mask"][::2]
+        focal = torch.linalg.det(tensors["K"][::2, :2, :2]).abs().sqrt()
+        width = tensors["T_cam_obj"][::2, 2, 3] / focal
+        return outputs, [true_cells(depth, mask, output.stride, width) for output in outputs]
+
+    def loss(self, batch: list[_Pair]) -> tuple[Tensor, dict[str, Tensor]]:
+        self.networks.cascade.train()
+        seed = np.round(batch[0][2][:3, 3] * 1e6).astype(int) % 2**31
+        outputs, truths = self.forward(batch, np.random.default_rng([self.seed, *seed]))
+        total = torch.zeros(())
+        numbers: dict[str, Tensor] = {}
+        names = ("coarse", "middle", "fine")
+        levels = self.networks.cascade.config.levels
+        for name, weight, level, output, truth in zip(
+            names, _LEVEL_WEIGHTS, levels, outputs, truths, strict=True
+        ):
+            part = depth_loss(output, truth, level.planes)
+            total = total + weight * part
+            numbers[name] = part
+        return total, numbers
+
+    @torch.no_grad()
+    def validate(self) -> dict[str, float]:
+        """Absolute error of the depth on the object in millimetres: median and 80th percentile."""
+        self.networks.cascade.eval()
+        rng = np.random.default_rng(1)
+        errors = []
+        for _ in range(16):
+            batch = [self.held_out.draw_pair(rng) for _ in range(8)]
+            outputs, truths = self.forward(batch, rng)
+            on_object = (truths[-1].depth > 0) & (truths[-1].mask > 0.5)
+            errors.append((outputs[-1].depth - truths[-1].depth)[on_object].abs())
+        error = 1000 * torch.cat(errors).numpy()
+        return {
+            "depth_error_mm": float(np.median(error)),
+            "depth_error_mm_p80": float(np.quantile(error, 0.8)),
+        }
+
+
+def true_cells(depth: Tensor, mask: Tensor, stride: int, pixel_width: Tensor) -> Truth:
+    """The truth on a grid of cells.
+
+    Args:
+        depth: (B, S, S) of a crop, m, 0 where unknown.
+        mask: (B, G, G) covered fraction by the visible object.
+        stride: pixels of the crop per cell, even.
+        pixel_width: (B,) of the crop's pixels where the object is, m.
+
+    Returns:
+        The mean depth of the four pixels around each cell's centre, where all are known and none
+        is across an edge, and the mask on the same grid.
+    """
+    half = stride // 2 - 1
+    rows = [depth[:, half + i :: stride, half + j :: stride] for i in (0, 1) for j in (0, 1)]
+    around = torch.stack(rows)
+    low, high = around.amin(0), around.amax(0)
+    known = (low > 0) & (high - low < _STEEPEST * pixel_width[:, None, None])
+    cells = torch.where(known, around.mean(0), torch.zeros_like(low))
+    size = (cells.shape[1], cells.shape[2])
+    return Truth(cells, F.adaptive_avg_pool2d(mask, size))
+
+
+def depth_loss(output: DepthOutput, truth: Truth, planes: int) -> Tensor:
+    """Smooth L1 loss of one stage's depth in units of its spacing, mostly on the object.
+
+    Cells whose depth is unknown, or out of the range that the stage searched, do not count.
+
+    Args:
+        output: of the stage.
+        truth: on its grid.
+        planes: how many depths it supposed.
+    """
+    half = output.half_range[:, None, None]
+    in_range = (truth.depth > 0) & ((truth.depth - output.centre).abs() <= half)
+    weight = in_range * (_BACKGROUND + (1 - _BACKGROUND) * truth.mask)
+    spacing = 2 * half / (planes - 1)
+    difference = F.smooth_l1_loss(
+        output.depth / spacing, truth.depth / spacing, reduction="none", beta=1.0
+    )
+    # Each pair counts the same, however little of the object it shows.
+    return ((weight * difference).sum((1, 2)) / weight.sum((1, 2)).clamp(min=8)).mean()

@@ -1,0 +1,223 @@
+"""The comparative study: every method on the same pairs of views, measured against the truth.
+
+The truth enters here only, after a method has answered. Outcomes are kept pair by pair in the
+folder of the study, and the same command goes on where it was stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from ..assets.object_model import ObjectModel
+from .bop import BopDataset, BopImage, BopPair, read_dataset, read_depth, read_pairs, read_rgb
+from .estimate import PoseEstimate
+from .geometry import View, transform
+from .metrics import add_or_add_s
+from .solvers import SOLVERS, solve_pose
+from .study_log import OutcomeLog, PairOutcome
+from .study_units import ONE_VIEW, Unit, choose_pairs, told_pose
+
+
+class Estimator(Protocol):
+    """What a study measures."""
+
+    @property
+    def object_names(self) -> tuple[str, ...]: ...
+
+    def estimate(self, views: Sequence[View], object_name: str) -> PoseEstimate: ...
+
+
+@dataclass(frozen=True, eq=False)
+class StudySet:
+    """One test, opened.
+
+    Attributes:
+        name: ``linemod`` or ``occlusion``.
+        dataset: its pictures and true poses.
+        pairs: of views, each with its gap.
+        description: what its maker wrote about it.
+    """
+
+    name: str
+    dataset: BopDataset
+    pairs: tuple[BopPair, ...]
+    description: Mapping[str, object] = field(default_factory=dict)
+
+    @classmethod
+    def open(cls, name: str, root: Path, split: str = "test") -> StudySet:
+        """Opens a BOP dataset whose pairs have gaps.
+
+        Raises:
+            ValueError: if there is none, or its pairs have no gaps.
+        """
+        pairs = read_pairs(root)
+        if any(pair.gap is None for pair in pairs):
+            raise ValueError(f"{root / 'two_view_pairs.json'} has pairs without a gap")
+        manifest = root / "manifest.json"
+        description = json.loads(manifest.read_text()) if manifest.is_file() else {}
+        return cls(name, read_dataset(root, split), pairs, description)
+
+
+def run_unit(
+    unit: Unit,
+    estimator: Estimator,
+    test: StudySet,
+    objects: Mapping[str, ObjectModel],
+    log: OutcomeLog,
+    *,
+    seed: int = 0,
+    progress: bool = True,
+) -> list[PairOutcome]:
+    """Measures what a log does not hold yet.
+
+    Args:
+        unit: what to measure.
+        estimator: the method, with its weights.
+        test: where the pictures and the truth are.
+        objects: the models that are looked for.
+        log: is added to, one pair after the other.
+        seed: of the errors that the method is told.
+        progress: whether to show a bar.
+
+    Returns:
+        The outcomes of the unit.
+
+    Raises:
+        ValueError: if the test has no pair of the unit, or lacks what the method needs.
+    """
+    from tqdm import tqdm
+
+    work = choose_pairs(unit, test.pairs, objects)
+    if not work:
+        raise ValueError(f"the {unit.test} test has no pair for {unit.method}, gaps {unit.gaps}")
+    done = {outcome.key for outcome in log.outcomes}
+    answers = _Answers(estimator, unit)
+    scene_id, scene = -1, {}
+    bar = tqdm(work, desc=unit.name, unit="pair", disable=not progress)
+    for pair, name in bar:
+        key = (pair.scene_id, pair.ref_image_id, pair.second_image_id, name)
+        if key in done:
+            continue
+        if pair.scene_id != scene_id:
+            scene_id, scene = pair.scene_id, test.dataset.scene(pair.scene_id)
+        reference, second = scene[pair.ref_image_id], scene[pair.second_image_id]
+        obj_id = objects[name].obj_id
+        truth = reference.annotation(obj_id)
+        if truth is None or second.annotation(obj_id) is None:
+            continue
+        estimate, seconds = answers.get(reference, second, told_pose(unit, pair, seed), name)
+        assert pair.gap is not None
+        log.add(
+            [
+                PairOutcome(
+                    scene_id=pair.scene_id,
+                    ref_image_id=pair.ref_image_id,
+                    second_image_id=pair.second_image_id,
+                    object_name=name,
+                    gap=pair.gap,
+                    camera_distance=float(np.linalg.norm(truth.T_cam_obj[:3, 3])),
+                    visibility=truth.visibility,
+                    baseline=float(pair.baselines_deg.get(truth.obj_id, pair.baseline_deg)),
+                    seconds=seconds,
+                    **compare_with_truth(
+                        estimate, truth.T_cam_obj, objects[name], solvers=unit.method != "single"
+                    ),
+                )
+            ]
+        )
+    return log.outcomes
+
+
+def compare_with_truth(
+    estimate: PoseEstimate, T_true: np.ndarray, model: ObjectModel, *, solvers: bool
+) -> dict:
+    """The errors of an estimate, as a :class:`PairOutcome` names them.
+
+    Args:
+        estimate: the answer.
+        T_true: true T_cam_obj, (4, 4).
+        model: the object.
+        solvers: whether to solve for the pose by every solver from the answer's keypoints.
+    """
+    errors = {}
+    if solvers:
+        covariance = _used_covariance(estimate, model)
+        for solver in SOLVERS:
+            T = solve_pose(model.keypoints, estimate.keypoints, model.diameter, solver, covariance)
+            errors[solver] = add_or_add_s(T, T_true, model) / model.diameter
+    return {
+        "error": add_or_add_s(estimate.T_cam_obj, T_true, model) / model.diameter,
+        "distances": tuple(float(d) for d in keypoint_distances(estimate.keypoints, T_true, model)),
+        "solver_errors": errors,
+    }
+
+
+def _used_covariance(estimate: PoseEstimate, model: ObjectModel) -> np.ndarray | None:
+    """The keypoints' covariance if the method's own pose was weighted by it, else None.
+
+    Only the solver is to be exchanged: some methods let sure keypoints count more, others do not.
+    """
+
+    def away(covariance: np.ndarray | None) -> float:
+        T = solve_pose(model.keypoints, estimate.keypoints, model.diameter, covariance=covariance)
+        return float(np.abs(T - estimate.T_cam_obj).max())
+
+    covariance = estimate.keypoint_covariance
+    return covariance if away(covariance) < away(None) else None
+
+
+def keypoint_distances(keypoints: np.ndarray, T_true: np.ndarray, model: ObjectModel) -> np.ndarray:
+    """Distance (9,) in metres of 3D keypoints (9, 3) from the truth.
+
+    Of the poses that the object's symmetries make equal, the one nearest to the keypoints counts.
+    """
+    truths = [transform(T_true @ S, model.keypoints) for S in model.symmetries]
+    distances = [np.linalg.norm(keypoints - truth, axis=1) for truth in truths]
+    return min(distances, key=np.mean)
+
+
+class _Answers:
+    """Asks a method, and remembers what it said of a single view, which has several partners."""
+
+    def __init__(self, estimator: Estimator, unit: Unit):
+        self._estimator = estimator
+        self._method = unit.method
+        self._last: dict[tuple[int, int, str], tuple[PoseEstimate, float]] = {}
+        self._read = lru_cache(maxsize=16)(read_rgb)
+
+    def get(
+        self, reference: BopImage, second: BopImage, T_second_ref: np.ndarray, name: str
+    ) -> tuple[PoseEstimate, float]:
+        """The estimate and the seconds that it took."""
+        key = (reference.scene_id, reference.image_id, name)
+        if self._method not in ONE_VIEW:
+            return self._ask([reference, second], [np.eye(4), T_second_ref], name)
+        if key not in self._last:
+            self._last = {k: v for k, v in self._last.items() if k[:2] == key[:2]}
+            self._last[key] = self._ask([reference], [np.eye(4)], name)
+        return self._last[key]
+
+    def _ask(
+        self, images: Sequence[BopImage], poses: Sequence[np.ndarray], name: str
+    ) -> tuple[PoseEstimate, float]:
+        # Views are new each time: a method that remembers views has to work all the same.
+        views = [
+            View(
+                self._read(image),
+                image.K,
+                pose,
+                depth=read_depth(image) if self._method == "rgbd" else None,
+            )
+            for image, pose in zip(images, poses, strict=True)
+        ]
+        start = time.perf_counter()
+        estimate = self._estimator.estimate(views, name)
+        return estimate, time.perf_counter() - start

@@ -1,0 +1,127 @@
+"""What weights for other objects, or with another volume, have to teach: the parts that fit.
+
+Most of each network is shared by all objects. What belongs to one object alone, rows of a few
+tensors, is copied for the objects that both know; for the others it starts anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..assets.object_model import ObjectModel
+from .networks import PARTS, PoseNetworks
+
+_ROWS = ("embedding.weight", "head_weight", "head_bias")
+"""Ends of the names of tensors with one row an object."""
+
+_DETECTOR_HEAD = ("detector.head.weight", "detector.head.bias")
+"""Tensors with one row an object, and then three (offset and size) for each."""
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """What was taken over.
+
+    Attributes:
+        known: objects of which the other weights know everything, in the order of the networks.
+        new: the other objects of the networks.
+        parts: the networks that were filled, those with rows of new objects only in part.
+        incomplete: those of ``parts`` that lack rows of new objects.
+        left: trained networks of the other weights that do not fit.
+    """
+
+    known: tuple[str, ...]
+    new: tuple[str, ...]
+    parts: tuple[str, ...]
+    incomplete: tuple[str, ...]
+    left: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """A line or three for the user."""
+        lines = [f"taken over: {', '.join(self.parts) or 'nothing'}"]
+        if self.new and self.incomplete:
+            lines.append(
+                f"new: {', '.join(self.new)} in {', '.join(self.incomplete)}; "
+                f"known before: {', '.join(self.known) or 'none of the objects'}"
+            )
+        if self.left:
+            lines.append(f"does not fit and starts anew: {', '.join(self.left)}")
+        return "\n".join(lines)
+
+
+def take_over(source: PoseNetworks, networks: PoseNetworks) -> Transfer:
+    """Fills networks with what others have learnt, and says so in their ``trained``.
+
+    A volume is taken only if it has the same preset. A part that lacks rows of new objects does not
+    count as trained.
+
+    Raises:
+        ValueError: if the networks are of other shapes.
+    """
+    for part in ("detector", "features"):
+        wanted, given = (getattr(n.config, part) for n in (networks, source))
+        if given != wanted:
+            raise ValueError(f"the weights are of networks of another shape: {given}, not {wanted}")
+    rows = {
+        networks.index[name]: source.index[name]
+        for name in networks.objects
+        if same_model(networks.objects, source.objects, name)
+    }
+    known = tuple(name for name, index in networks.index.items() if index in rows)
+    new = tuple(name for name in networks.objects if name not in known)
+    left = tuple(
+        part
+        for part in PARTS
+        if part in source.trained
+        and part == "volume"
+        and source.config.preset != networks.config.preset
+    )
+    parts = tuple(part for part in PARTS if part in source.trained and part not in left)
+    theirs, ours = source.state_dict(), networks.state_dict()
+    incomplete = set()
+    for name, value in ours.items():
+        part = name.split(".")[0]
+        if part not in parts:
+            continue
+        axes = _object_rows(name, value, len(networks.objects))
+        if axes is not None and new:
+            incomplete.add(part)
+        if name not in theirs or (axes is None and theirs[name].shape != value.shape):
+            raise ValueError(f"the weights are of networks of another shape: {name} does not fit")
+        if axes is None:
+            value.copy_(theirs[name])
+            continue
+        their_axes = _object_rows(name, theirs[name], len(source.objects))
+        assert their_axes is not None
+        for mine, other in rows.items():
+            value[axes[mine]] = theirs[name][their_axes[other]]
+    networks.trained = frozenset(parts) - incomplete
+    return Transfer(known, new, parts, tuple(p for p in parts if p in incomplete), left)
+
+
+def same_model(
+    objects: Mapping[str, ObjectModel], others: Mapping[str, ObjectModel], name: str
+) -> bool:
+    """Whether both have an object of that name with the same keypoints."""
+    return (
+        name in objects
+        and name in others
+        and np.allclose(objects[name].keypoints, others[name].keypoints, atol=1e-6)
+    )
+
+
+def _object_rows(name: str, value: Tensor, count: int) -> Sequence[Tensor] | None:
+    """The rows of a tensor that belong to each of ``count`` objects; None if it is shared."""
+    if name.endswith(_ROWS):
+        return [torch.tensor([index]) for index in range(count)]
+    if name in _DETECTOR_HEAD:
+        return [
+            torch.tensor([index, *range(count + 3 * index, count + 3 * index + 3)])
+            for index in range(count)
+        ]
+    return None

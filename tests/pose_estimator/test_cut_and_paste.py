@@ -1,0 +1,214 @@
+"""Cut-and-paste on crops: what is seen, the mask and the depth go on saying the same."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from two_view_pose.pose_estimator.augmentation import AugmentationConfig, erase_box
+from two_view_pose.pose_estimator.crops import STORED_SIDE, CropPack
+from two_view_pose.pose_estimator.cut_and_paste import CropPaster, CutAndPasteConfig, blend
+from two_view_pose.pose_estimator.dataset import TrainingSet, batches
+from two_view_pose.pose_estimator.features import FeatureConfig
+
+COLOURS = np.array([(230, 20, 20), (20, 230, 20), (20, 20, 230)], np.uint8)
+GROUND = np.array([(60, 60, 60), (200, 200, 60), (60, 200, 200)], np.uint8)
+SIDE = 128
+
+
+def disc(side: int) -> np.ndarray:
+    """A mask (side, side) of a disc in the middle, a third of the side wide."""
+    return cv2.circle(np.zeros((side, side), np.uint8), (side // 2, side // 2), side // 6, 255, -1)
+
+
+def discs(objects: list[int], frames: list[int]) -> CropPack:
+    """Plain discs, each object on its own plain ground."""
+    data, spans = b"", []
+    for number in objects:
+        mask = disc(STORED_SIDE)
+        picture = np.where(mask[..., None] > 0, COLOURS[number], GROUND[number])
+        parts = [
+            cv2.imencode(".png", picture[..., ::-1])[1].tobytes(),
+            cv2.imencode(".png", mask)[1].tobytes(),
+        ]
+        ends = len(data) + np.cumsum([0, *map(len, parts), 0])
+        spans.append(np.repeat(ends, 2)[1:-1])
+        data += b"".join(parts)
+    count = len(objects)
+    eyes = {"K": np.eye(3), "T_cam_world": np.eye(4), "frame_to_image": np.eye(3)}
+    return CropPack(
+        object_names=("a", "b", "c"),
+        crops=np.frombuffer(data, np.uint8),
+        frames=np.zeros(0, np.uint8),
+        spans=np.array(spans),
+        frame_spans=np.zeros((max(frames) + 1, 2), int),
+        object_index=np.array(objects),
+        frame_index=np.array(frames),
+        scene_id=np.arange(max(frames) + 1),
+        T_cam_obj=np.tile(np.eye(4), (count, 1, 1)),
+        visibility=np.ones(count),
+        to_stored=np.tile(np.eye(3), (count, 1, 1)),
+        **{name: np.tile(eye, (max(frames) + 1, 1, 1)) for name, eye in eyes.items()},
+    )
+
+
+@pytest.fixture(scope="module")
+def three() -> CropPack:
+    """Three objects; c is never in the frame of another, a and b share one."""
+    return discs([0, 1, 2, 1, 2], [0, 0, 1, 2, 3])
+
+
+def red_disc() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Crop, mask and depth of object a."""
+    mask = disc(SIDE)
+    crop = np.where(mask[..., None] > 0, COLOURS[0], GROUND[0])
+    return crop, mask, np.full((SIDE, SIDE), 0.9, np.float32)
+
+
+def like(crop: np.ndarray, colour: np.ndarray) -> np.ndarray:
+    return np.abs(crop.astype(int) - colour).max(-1) < 12
+
+
+def test_an_occluder_hides_what_the_mask_no_longer_claims(three):
+    paster = CropPaster(three, np.arange(5), CutAndPasteConfig(occlude=1.0))
+    crop, mask, depth = red_disc()
+    hidden = 0
+    for seed in range(40):
+        seen, left, known = paster.paste(crop, mask, depth, 0, np.random.default_rng(seed))
+        assert (left <= mask).all()
+        assert left.sum() >= 0.35 * mask.sum()
+        assert like(seen, COLOURS[0])[left > 250].all()
+        over = (mask > 250) & (left < 5)
+        # Only the occluder itself is pasted, none of the ground around it, and it is b or c.
+        assert (like(seen, COLOURS[1]) | like(seen, COLOURS[2]))[over].all()
+        pasted = like(seen, COLOURS[1]) | like(seen, COLOURS[2])
+        own = cv2.erode(like(seen, COLOURS[0]).astype(np.uint8), np.ones((3, 3))) > 0
+        assert (known[pasted] == 0).all() and (known[own] > 0).all()
+        assert not (like(seen, GROUND[1]) | like(seen, GROUND[2])).any()
+        hidden += bool(over.any())
+    assert hidden > 20
+
+
+def test_a_background_is_replaced_behind_the_target_alone(three):
+    paster = CropPaster(three, np.arange(5), CutAndPasteConfig(background=1.0))
+    crop, mask, depth = red_disc()
+    kinds = set()
+    for seed in range(20):
+        seen, left, known = paster.paste(crop, mask, depth, 0, np.random.default_rng(seed))
+        assert np.array_equal(left, mask)
+        assert like(seen, COLOURS[0])[mask > 0].all()
+        assert not like(seen, GROUND[0]).any() and not like(seen, COLOURS[0])[mask == 0].any()
+        assert np.array_equal(known > 0, mask > 127)
+        kinds |= {k for k in (1, 2) if like(seen, GROUND[k]).mean() > 0.3}
+    assert kinds == {1, 2}
+
+
+def test_a_background_that_shows_the_object_is_not_taken(three):
+    # Target 1 shares its frame with object a: only the frames of targets 2, 3 and 4 lack it.
+    config = CutAndPasteConfig(background=1.0)
+    lacking = CropPaster(three, np.array([0, 1]), CutAndPasteConfig(occlude=1.0))
+    assert not len(lacking._backgrounds[0])
+    crop, mask, depth = red_disc()
+    both = CropPaster(discs([0, 1, 2], [0, 0, 1]), np.arange(3), config)
+    for seed in range(10):
+        seen, *_ = both.paste(crop, mask, depth, 0, np.random.default_rng(seed))
+        assert not like(seen, GROUND[1]).any() and like(seen, GROUND[2]).any()
+
+
+def test_probabilities(three):
+    crop, mask, depth = red_disc()
+    for config, expected in (
+        (CutAndPasteConfig(), 0.0),
+        (CutAndPasteConfig(background=0.3), 0.3),
+    ):
+        paster = CropPaster(three, np.arange(5), config)
+        rng = np.random.default_rng(0)
+        changed = [
+            not np.array_equal(paster.paste(crop, mask, depth, 0, rng)[0], crop) for _ in range(300)
+        ]
+        assert np.mean(changed) == pytest.approx(expected, abs=0.08)
+
+
+def test_the_same_draw_whatever_was_drawn_before(three):
+    config = CutAndPasteConfig(occlude=0.7, background=0.7)
+    crop, mask, depth = red_disc()
+    first, second = (CropPaster(three, np.arange(5), config) for _ in range(2))
+    for seed in range(10):
+        second.paste(crop, mask, depth, seed % 3, np.random.default_rng(seed))
+    for seed in range(10, 15):
+        ours, theirs = (
+            p.paste(crop, mask, depth, 0, np.random.default_rng(seed)) for p in (first, second)
+        )
+        assert all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
+
+
+def test_nothing_to_paste_is_told(three):
+    alone = discs([0, 0], [0, 1])
+    with pytest.raises(ValueError, match="needs a second object"):
+        CropPaster(alone, np.arange(2), CutAndPasteConfig(occlude=0.5))
+    full = discs([0, 1, 2], [0, 0, 0])
+    with pytest.raises(ValueError, match="needs a frame that lacks an object"):
+        CropPaster(full, np.arange(3), CutAndPasteConfig(background=0.5))
+    both = CutAndPasteConfig(occlude=1.0, background=1.0)
+    crop, mask, depth = red_disc()
+    seen, left, _ = CropPaster(full, np.arange(3), both).paste(
+        crop, mask, depth, 0, np.random.default_rng(2)
+    )
+    assert like(seen, GROUND[0])[left == 0].any()  # what can be done is done
+    with pytest.raises(ValueError, match=r"occlude must be 0 to 1, got 1\.5"):
+        CutAndPasteConfig(occlude=1.5)
+
+
+def test_blending_is_a_weighted_mean():
+    rng = np.random.default_rng(0)
+    below, above = rng.integers(0, 256, (2, 9, 7, 3)).astype(np.uint8)
+    alpha = rng.integers(0, 256, (9, 7)).astype(np.uint8)
+    weight = alpha[..., None] / 255.0
+    expected = weight * above + (1 - weight) * below
+    assert np.abs(blend(below, above, alpha) - expected).max() <= 1.01
+
+
+def test_the_mask_of_a_sample_is_where_its_colour_is(pack, boxes):
+    bent = AugmentationConfig(erase=0, noise=0, blur=0)
+    training = TrainingSet(
+        pack, boxes, FeatureConfig(), bent, cut_and_paste=CutAndPasteConfig(occlude=1.0)
+    )
+    rng = np.random.default_rng(0)
+    hidden = 0
+    for _ in range(12):
+        sample = training.draw_target(rng)
+        small = cv2.resize(sample.crop, sample.mask.shape, interpolation=cv2.INTER_AREA)
+        own, other = (0, 2) if sample.object_index == 0 else (2, 0)
+        shown = (small[..., own].astype(int) > 170) & (small[..., other].astype(int) < 100)
+        assert (shown == (sample.mask > 0.5)).mean() > 0.97
+        hidden += (small[..., other].astype(int) > 170).any()
+    assert hidden > 6
+
+
+def test_batch_n_is_the_same_whatever_came_before(pack, boxes):
+    def draw(start: int, number: int) -> list:
+        training = TrainingSet(
+            pack, boxes, FeatureConfig(), cut_and_paste=CutAndPasteConfig(occlude=0.8)
+        )
+        source = batches(training.draw_target, 3, seed=5, start=start)
+        chosen = [next(source) for _ in range(number + 1)][-1]
+        source.close()  # type: ignore[attr-defined]
+        return chosen
+
+    for a, b in zip(draw(0, 3), draw(3, 0), strict=True):
+        assert np.array_equal(a.crop, b.crop) and np.array_equal(a.mask, b.mask)
+
+
+def test_an_erased_box_is_neither_seen_nor_known():
+    rng = np.random.default_rng(0)
+    boxes = 0
+    for _ in range(60):
+        picture = np.full((40, 50, 3), 9, np.uint8)
+        mask, depth = np.full((40, 50), 255, np.uint8), np.ones((40, 50), np.float32)
+        erase_box(AugmentationConfig(erase=0.5), rng, picture, mask, depth)
+        hidden = (picture != 9).any(-1)
+        assert np.array_equal(hidden, mask == 0) and np.array_equal(hidden, depth == 0)
+        boxes += hidden.any()
+        rows, columns = np.flatnonzero(hidden.any(1)), np.flatnonzero(hidden.any(0))
+        assert hidden.sum() == len(rows) * len(columns)
+    assert 15 < boxes < 45

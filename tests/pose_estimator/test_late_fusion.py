@@ -1,0 +1,68 @@
+"""``late`` with perfect, symmetric and senseless votes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from two_view_pose.pose_estimator.estimate import PoseEstimate
+from two_view_pose.pose_estimator.geometry import LINEMOD_K, View, transform
+from two_view_pose.pose_estimator.late_fusion import LateFusionEstimator
+from votes import T_WORLD_OBJ, Garbage, PerfectVotes, camera, check_sound, error, view
+
+
+def estimate(networks, frontend, views, name="brick", solver="soft") -> PoseEstimate:
+    estimator = LateFusionEstimator(networks, solver)
+    estimator.frontend = frontend
+    return estimator.estimate(views, name)
+
+
+@pytest.mark.parametrize("solver", ["soft", "kabsch", "hard"])
+@pytest.mark.parametrize("more", [(65,), (-25,), (21,), (60, -20)])
+def test_perfect_votes_give_the_pose(networks, solver, more):
+    views = [view(20), *map(view, more)]
+    found = estimate(networks, PerfectVotes(networks), views, solver=solver)
+    check_sound(found, len(views))
+    assert error(found, networks, "brick", 20) < 1e-4
+    truth = transform(camera(20) @ T_WORLD_OBJ, networks.objects["brick"].keypoints)
+    np.testing.assert_allclose(found.keypoints, truth, atol=1e-5)
+
+
+@pytest.mark.parametrize("twist", [(0, 1), (1, 0), (1, 1), (0, 0)])
+def test_views_that_mean_equivalent_poses_are_reconciled(networks, twist):
+    found = estimate(networks, PerfectVotes(networks, twist), [view(20), view(65)], "crate")
+    check_sound(found, 2)
+    # It is the equivalent that the reference view meant.
+    meant = camera(20) @ T_WORLD_OBJ @ networks.objects["crate"].symmetries[twist[0]]
+    np.testing.assert_allclose(found.T_cam_obj, meant, atol=1e-4)
+
+
+def test_covariance_says_how_far_keypoints_are_off(networks):
+    truth = transform(camera(20) @ T_WORLD_OBJ, networks.objects["brick"].keypoints)
+    votes, estimator = PerfectVotes(networks, noise=0.4), LateFusionEstimator(networks)
+    scaled = []
+    for _ in range(20):
+        encoded = [votes.encode(view(degrees), 0) for degrees in (20, 50)]
+        found = estimator.fuse(encoded, "brick", estimator.from_one_view(encoded[0], "brick"))
+        off = found.keypoints - truth
+        scaled.append(np.einsum("ki,kij,kj->k", off, np.linalg.inv(found.keypoint_covariance), off))
+    # The squares of three standard normal numbers.
+    assert 2.4 < np.mean(scaled) < 3.6
+
+
+def test_the_relative_pose_is_used(networks):
+    frontend = PerfectVotes(networks)
+    pair = [view(20), view(65)]
+    encoded = [frontend.encode(v, 0) for v in pair]
+    told_wrong = View(pair[1].image, LINEMOD_K, camera(60))
+    object.__setattr__(encoded[1], "view", told_wrong)
+    estimator = LateFusionEstimator(networks)
+    first = estimator.from_one_view(encoded[0], "brick")
+    assert error(estimator.fuse(encoded, "brick", first), networks, "brick", 20) > 0.02
+
+
+def test_garbage_and_views_from_one_place_are_answered(networks):
+    frontend = Garbage(networks)
+    for number in range(8):
+        views = [view(20), view(20 + 6 * number)][: 1 + (number % 3 > 0)]
+        check_sound(estimate(networks, frontend, views, ("brick", "crate")[number % 2]), len(views))
+    check_sound(estimate(networks, PerfectVotes(networks, noise=1.0), [view(20), view(20)]), 2)

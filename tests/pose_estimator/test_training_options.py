@@ -1,0 +1,131 @@
+"""Options of the verb that change what is trained, and where it starts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+from two_view_pose import assets, pose_estimator
+from two_view_pose.pose_estimator import training
+from two_view_pose.pose_estimator.crops import CropPack
+from two_view_pose.pose_estimator.dataset import TrainingSet
+from two_view_pose.pose_estimator.networks import PoseNetworks
+from two_view_pose.pose_estimator.training import TrainEstimatorConfig, train_estimator
+from two_view_pose.pose_estimator.volume import PRESETS, LevelConfig
+from two_view_pose.pose_estimator.volume_stage import VolumeStage
+from two_view_pose.pose_estimator.weights import read_header, save_weights
+
+
+@pytest.fixture
+def finished(boxes, tmp_path: Path) -> Path:
+    """Weights of all three parts, with the preset ``fast``."""
+    torch.manual_seed(0)
+    networks = PoseNetworks(boxes)
+    networks.trained = frozenset({"detector", "features", "volume"})
+    save_weights(networks, tmp_path / "finished.safetensors", {"what": "test"})
+    return tmp_path / "finished.safetensors"
+
+
+def quick(monkeypatch, boxes) -> None:
+    """Lets a training take a second."""
+    monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
+    monkeypatch.setattr(VolumeStage, "validate", lambda self: {"figure": 0.5})
+    for settings in (training._STAGES["volume"], training._PAPER_VOLUME):
+        monkeypatch.setitem(settings, "batch", 1)
+
+
+def test_a_paper_volume_is_trained_on_finished_features(
+    dataset: Path, pack: CropPack, boxes, finished: Path, tmp_path: Path, monkeypatch, capsys
+):
+    quick(monkeypatch, boxes)
+    # The paper's but for the number of voxels.
+    coarse = replace(PRESETS["paper"].coarse, cells=6)
+    fine = LevelConfig(cells=None, half_size=0.65, cell_size=0.03)
+    monkeypatch.setitem(PRESETS, "paper", replace(PRESETS["paper"], coarse=coarse, fine=fine))
+    heard = []
+    loss = VolumeStage.loss
+    monkeypatch.setattr(
+        VolumeStage, "loss", lambda self, batch: heard.append(loss(self, batch)) or heard[-1]
+    )
+    path = train_estimator(
+        TrainEstimatorConfig(
+            data=dataset, out=tmp_path / "out", stages=("volume",), preset="paper", volume_steps=1,
+            init=str(finished), validation=0.3, threads=1, pose_noise=(1.0, 5.0), pose_loss=0.5,
+        )
+    )  # fmt: skip
+    ((_, parts),) = heard
+    assert {"coarse_pose", "pose", "coarse_distance", "fine_distance"} <= set(parts)
+    header = read_header(path)
+    assert header["networks"]["preset"] == "paper"
+    assert header["trained"] == ["detector", "features", "volume"]
+    assert header["training"]["pose_noise"] == {"degrees": 1.0, "millimetres": 5.0}
+    assert header["training"]["pose_loss"] == 0.5 and header["training"]["cut_and_paste"] == 0
+    before, after = load_file(finished), load_file(path)
+    for name in before:
+        if not name.startswith(("volume.", "features.volume_head.")):
+            assert torch.equal(before[name], after[name]), name
+    assert pose_estimator.load("mid", path).object_names == ("brick", "crate")
+    assert "does not fit and starts anew: volume" in capsys.readouterr().out
+
+
+def test_options_reach_the_stage_in_metres_and_the_sets(
+    dataset: Path, pack: CropPack, boxes, finished: Path, tmp_path: Path, monkeypatch
+):
+    quick(monkeypatch, boxes)
+    seen: dict = {}
+
+    class Heard(Exception):
+        pass
+
+    def listen(stage, loop, log):
+        seen["stage"] = stage
+        raise Heard
+
+    monkeypatch.setattr("two_view_pose.pose_estimator.trainer.run_stage", listen)
+    config = TrainEstimatorConfig(
+        data=dataset, out=tmp_path / "out", stages=("volume",), init=str(finished),
+        validation=0.3, threads=1, pose_noise=(2.0, 10.0), pose_loss=0.0, cut_and_paste=0.5,
+    )  # fmt: skip
+    with pytest.raises(Heard):
+        train_estimator(config)
+    stage = seen["stage"]
+    assert stage.pose_noise == (2.0, 0.01) and stage.pose_weight == 0
+    assert stage.train._paster is not None and stage.held_out._paster is None
+
+
+def test_points_that_read_the_old_volumes_features_are_dropped(
+    dataset: Path, pack: CropPack, boxes, tmp_path: Path, monkeypatch
+):
+    quick(monkeypatch, boxes)
+    networks = PoseNetworks(boxes)
+    networks.trained = frozenset({"detector", "features", "points", "cascade"})
+    save_weights(networks, tmp_path / "first.safetensors", {})
+    config = TrainEstimatorConfig(
+        data=dataset, out=tmp_path / "out", stages=("volume",), volume_steps=1, validation=0.3,
+        init=str(tmp_path / "first.safetensors"), threads=1,
+    )  # fmt: skip
+    trained = read_header(train_estimator(config))["trained"]
+    assert trained == ["detector", "features", "volume", "cascade"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"pose_noise": (-1.0, 0.0)}, "pose_noise must be finite and at least 0"),
+        ({"pose_noise": (0.0, float("inf"))}, "pose_noise must be finite"),
+        ({"pose_loss": -0.1}, "pose_loss must be finite and at least 0, got -0.1"),
+        ({"cut_and_paste": 1.2}, "cut_and_paste must be 0 to 1, got 1.2"),
+    ],
+)
+def test_wrong_options_are_told(tmp_path: Path, options, message):
+    with pytest.raises(ValueError, match=message):
+        TrainEstimatorConfig(data=tmp_path, out=tmp_path, **options)
+
+
+def test_one_scene_is_told_before_any_training(boxes, pack: CropPack):
+    alone = replace(pack, scene_id=pack.scene_id * 0)
+    with pytest.raises(ValueError, match="Generate more scenes"):
+        TrainingSet(alone, boxes, PoseNetworks(boxes).config.features)

@@ -1,0 +1,118 @@
+"""Weights for other objects: what both know answers alike, what is new is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from two_view_pose.pose_estimator.networks import PARTS, NetworkConfig, PoseNetworks
+from two_view_pose.pose_estimator.training import TrainEstimatorConfig, start_from
+from two_view_pose.pose_estimator.transfer import _object_rows, take_over
+from two_view_pose.pose_estimator.weights import save_weights
+
+
+@pytest.fixture(scope="module")
+def three(boxes) -> PoseNetworks:
+    """Networks that know crate, brick and another object, in this order."""
+    torch.manual_seed(1)
+    slab = replace(boxes["brick"], name="slab", keypoints=boxes["brick"].keypoints * 1.5)
+    networks = PoseNetworks({"crate": boxes["crate"], "brick": boxes["brick"], "slab": slab})
+    for parameter in networks.parameters():
+        torch.nn.init.normal_(parameter.data, std=0.05)
+    networks.trained = frozenset({"detector", "features", "volume"})
+    return networks.eval()
+
+
+@pytest.fixture
+def fresh(boxes) -> PoseNetworks:
+    """Untrained networks for the two boxes."""
+    torch.manual_seed(2)
+    return PoseNetworks(boxes)
+
+
+def test_shared_objects_answer_as_they_did(three, fresh, boxes):
+    transfer = take_over(three, fresh)
+    assert transfer.known == ("brick", "crate") and not transfer.new and not transfer.incomplete
+    assert fresh.trained == three.trained
+    fresh.eval()
+    pictures = torch.rand(1, 3, 240, 320, generator=torch.Generator().manual_seed(0)) * 255
+    with torch.no_grad():
+        for name in boxes:
+            mine, theirs = fresh.index[name], three.index[name]
+            ours, before = (
+                n.features(pictures[..., :128, :128], torch.tensor([i]))
+                for n, i in ((fresh, mine), (three, theirs))
+            )
+            assert all(torch.allclose(a, b, atol=1e-4) for a, b in zip(ours, before, strict=True))
+            for a, b in zip(fresh.detector(pictures), three.detector(pictures), strict=True):
+                assert torch.allclose(a[:, mine], b[:, theirs], atol=1e-4)
+
+
+def test_a_new_object_keeps_its_own_start(three, boxes):
+    torch.manual_seed(3)
+    # It bears a known name, and is another object.
+    other = replace(boxes["crate"], keypoints=boxes["crate"].keypoints + 0.01)
+    networks = PoseNetworks({"brick": boxes["brick"], "crate": other})
+    row = networks.features.head_weight[1].clone()
+    transfer = take_over(three, networks)
+    assert transfer.known == ("brick",) and transfer.new == ("crate",)
+    assert transfer.incomplete == ("detector", "features")
+    assert networks.trained == {"volume"}
+    assert torch.equal(networks.features.head_weight[1], row)
+    assert torch.equal(networks.features.head_weight[0], three.features.head_weight[1])
+    assert torch.equal(networks.features.trunk[0].weight, three.features.trunk[0].weight)
+    assert "new: crate in detector, features; known before: brick" in str(transfer)
+
+
+def test_every_tensor_that_depends_on_the_objects_is_known(three, fresh):
+    small, large = fresh.state_dict(), three.state_dict()
+    depending = {name for name in small if small[name].shape != large[name].shape}
+    assert depending == {name for name in small if _object_rows(name, small[name], 2) is not None}
+    for name in depending:
+        rows = _object_rows(name, large[name], 3)
+        assert rows is not None
+        assert sorted(torch.cat(list(rows)).tolist()) == list(range(len(large[name])))
+
+
+def test_a_volume_of_another_preset_is_left(three, boxes):
+    networks = PoseNetworks(boxes, NetworkConfig(preset="paper"))
+    before = networks.volume.coarse.output.weight.clone()
+    transfer = take_over(three, networks)
+    assert transfer.left == ("volume",) and networks.trained == {"detector", "features"}
+    assert torch.equal(networks.volume.coarse.output.weight, before)
+    assert "starts anew: volume" in str(transfer)
+
+
+def test_untrained_parts_are_not_taken(three, fresh):
+    three.trained = frozenset({"features"})
+    try:
+        assert take_over(three, fresh).parts == ("features",)
+    finally:
+        three.trained = frozenset({"detector", "features", "volume"})
+    assert not torch.equal(fresh.detector.head.weight[0], three.detector.head.weight[1])
+
+
+def test_networks_of_another_shape_are_refused(three, boxes):
+    config = replace(three.config, features=replace(three.config.features, width=32))
+    with pytest.raises(ValueError, match="networks of another shape"):
+        take_over(three, PoseNetworks(boxes, config))
+
+
+def test_new_objects_must_be_trained(three, boxes, tmp_path: Path, capsys):
+    weights = tmp_path / "three.safetensors"
+    save_weights(three, weights, {"what": "test"})
+    bracket = replace(boxes["brick"], name="bracket")
+    networks = PoseNetworks({"brick": boxes["brick"], "bracket": bracket})
+    config = TrainEstimatorConfig(
+        data=tmp_path, out=tmp_path / "out", init=str(weights), stages=("features", "volume")
+    )
+    with pytest.raises(
+        ValueError,
+        match="know crate, brick, slab, and the training asks for brick, bracket: add detector to "
+        "--stages, which must learn bracket",
+    ):
+        start_from(config, networks)
+    start_from(replace(config, stages=PARTS[:2]), networks)
+    assert "taken over: detector, features, volume" in capsys.readouterr().out

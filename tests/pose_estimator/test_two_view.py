@@ -1,0 +1,142 @@
+"""What the fusions share: where they look, when, and that they agree on what they see."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from two_view_pose.pose_estimator.agreement import agree, guess_centre
+from two_view_pose.pose_estimator.estimate import PoseEstimate, Roi, roi_of_pose
+from two_view_pose.pose_estimator.geometry import (
+    LINEMOD_K,
+    View,
+    make_transform,
+    project,
+    transform,
+)
+from two_view_pose.pose_estimator.late_fusion import LateFusionEstimator
+from two_view_pose.pose_estimator.mid_fusion import MidFusionEstimator
+from two_view_pose.pose_estimator.single_view import SingleViewEstimator
+from two_view_pose.pose_estimator.two_view import TwoViewEstimator, expected_pixel
+from votes import T_WORLD_OBJ, PerfectVotes, camera, view
+
+FUSIONS = [LateFusionEstimator, MidFusionEstimator]
+
+
+def looking(networks, method, views, rois=None) -> tuple[PoseEstimate, list]:
+    """An estimate, and what its frontend was told of where to look."""
+    estimator = method(networks)
+    estimator.frontend = PerfectVotes(networks)
+    return estimator.estimate(views, "brick", rois), estimator.frontend.told
+
+
+def true_roi(networks, degrees: float) -> Roi:
+    model = networks.objects["brick"]
+    return roi_of_pose(camera(degrees) @ T_WORLD_OBJ, LINEMOD_K, model.diameter, 1.4)
+
+
+@pytest.mark.parametrize("method", FUSIONS)
+def test_every_view_is_looked_at_twice(networks, method):
+    found, told = looking(networks, method, [view(20), view(70)])
+    (nothing, prior), again = told[:2], told[2:]
+    assert nothing == (None, None) and prior[1] is None
+    expected = project((camera(70) @ T_WORLD_OBJ)[:3, 3], LINEMOD_K)
+    assert np.abs(prior[0][0] - expected).max() < 1
+    assert len(again) == 2
+    # The second look is at the first fusion's pose, whatever that is worth.
+    for (_, roi), degrees in zip(again, (20, 70), strict=True):
+        assert np.abs(roi.centre - true_roi(networks, degrees).centre).max() < 30
+    # The answer says where the object was found at first.
+    assert np.abs(found.rois[0].centre - again[0][1].centre).max() > 0.5
+
+
+@pytest.mark.parametrize("method", [SingleViewEstimator, *FUSIONS])
+def test_one_view_is_looked_at_once(networks, method):
+    found, told = looking(networks, method, [view(20)])
+    assert told == [(None, None)]
+    assert np.array_equal(
+        found.T_cam_obj, looking(networks, SingleViewEstimator, [view(20)])[0].T_cam_obj
+    )
+
+
+@pytest.mark.parametrize("method", [SingleViewEstimator, *FUSIONS])
+def test_regions_from_elsewhere_replace_the_detectors(networks, method):
+    rois = [true_roi(networks, 20), true_roi(networks, 70)]
+    found, told = looking(networks, method, [view(20), view(70)], rois)
+    seen = 1 if method is SingleViewEstimator else 2
+    assert [roi for _, roi in told[:seen]] == rois[:seen]
+    assert found.rois == rois[:seen]
+    with pytest.raises(ValueError, match="one region for each of the 2 views, got 1"):
+        looking(networks, method, [view(20), view(70)], rois[:1])
+
+
+def test_a_region_of_a_pose_holds_the_object(networks):
+    model = networks.objects["brick"]
+    T = camera(30) @ T_WORLD_OBJ
+    roi = true_roi(networks, 30)
+    pixels = project(transform(T, model.vertices), LINEMOD_K)
+    assert np.abs(pixels - roi.centre).max() < roi.side / 2
+    ends = T[:3, 3] + np.array([[-0.5, 0, 0], [0.5, 0, 0]]) * model.diameter
+    assert roi.side == pytest.approx(1.4 * np.ptp(project(ends, LINEMOD_K)[:, 0]))
+    behind = roi_of_pose(np.diag([1.0, 1, -1, 1]) @ T, LINEMOD_K, model.diameter, 1.4)
+    assert np.isfinite([*behind.centre, behind.side]).all() and behind.side > 0
+
+
+def test_the_second_view_is_told_where_to_look(networks):
+    first, _ = looking(networks, SingleViewEstimator, [view(20)])
+    pixel, sigma = expected_pixel(first, view(20), view(70))
+    expected = project((camera(70) @ T_WORLD_OBJ)[:3, 3], LINEMOD_K)
+    assert np.abs(pixel - expected).max() < 1 and 10 < sigma < 200
+    behind = View(np.zeros((8, 8, 3), np.uint8), LINEMOD_K, make_transform(np.eye(3), [0, 0, -5.0]))
+    pixel, sigma = expected_pixel(first, view(20), behind)
+    assert np.isfinite(pixel).all() and np.isfinite(sigma)
+
+
+def test_votes_are_renumbered_to_the_references(networks):
+    model = networks.objects["crate"]
+    frontend = PerfectVotes(networks, (0, 1, 1))
+    encoded = [frontend.encode(view(degrees), 1) for degrees in (20, 65, -10)]
+    agreed, points = agree(encoded, model)
+    truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
+    np.testing.assert_allclose(points, truth, atol=1e-4)
+    for seen, degrees in zip(agreed, (20, 65, -10), strict=True):
+        expected = project(transform(camera(degrees) @ T_WORLD_OBJ, model.keypoints), seen.K_grid)
+        np.testing.assert_allclose(seen.vote_mean, expected, atol=1e-6)
+    # What was given is as it was.
+    assert not np.allclose(encoded[1].vote_mean, agreed[1].vote_mean, atol=0.5)
+
+
+@pytest.mark.parametrize("degrees", [21.0, 65.0])
+def test_the_guess_is_the_centre_whatever_the_baseline(networks, degrees):
+    model = networks.objects["brick"]
+    first, _ = looking(networks, SingleViewEstimator, [view(20)])
+    frontend = PerfectVotes(networks)
+    encoded = [frontend.encode(view(d), 0) for d in (20, degrees)]
+    truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
+    wrong = truth + np.array([0, 0, 0.3])  # as a triangulation with hardly any baseline may be
+    centre = guess_centre(encoded, wrong, model, first)
+    np.testing.assert_allclose(centre, truth[-1], atol=2e-3)
+
+
+def test_votes_that_no_pose_explains_leave_the_guess_near_what_was_known(networks):
+    model = networks.objects["brick"]
+    first, _ = looking(networks, SingleViewEstimator, [view(20)])
+    away = make_transform(np.diag([-1.0, 1, -1]), [0, 0, -5.0])  # behind the second camera
+    frontend = PerfectVotes(networks)
+    encoded = [frontend.encode(view(20), 0), frontend.encode(view(70), 0)]
+    lost = replace(encoded[1], view=View(encoded[1].view.image, LINEMOD_K, away))
+    far = np.full((9, 3), 50.0)
+    centre = guess_centre([encoded[0], lost], far, model, first)
+    assert np.array_equal(centre, first.keypoints[-1])
+
+
+def test_wrong_calls_are_refused(networks):
+    with pytest.raises(ValueError, match="unknown solver 'best'; there are soft, kabsch, hard"):
+        MidFusionEstimator(networks, "best")
+    with pytest.raises(ValueError, match="do not know the object 'teapot'; they know brick, crate"):
+        LateFusionEstimator(networks).estimate([view(0)], "teapot")
+    with pytest.raises(ValueError, match="at least one view"):
+        LateFusionEstimator(networks).estimate([], "brick")
+    with pytest.raises(NotImplementedError, match="does not say how it fuses"):
+        looking(networks, TwoViewEstimator, [view(20), view(70)])
