@@ -18,6 +18,7 @@ from two_view_pose.pose_estimator.crops import CropPack
 from two_view_pose.pose_estimator.dataset import TrainingSet
 from two_view_pose.pose_estimator.depth_stage import CascadeStage
 from two_view_pose.pose_estimator.networks import PoseNetworks
+from two_view_pose.pose_estimator.point_stage import PointStage
 from two_view_pose.pose_estimator.stages import DetectorStage, FeatureStage
 from two_view_pose.pose_estimator.training import (
     TrainEstimatorConfig,
@@ -81,32 +82,37 @@ def dataset_with_depth(dataset: Path, boxes, tmp_path: Path, monkeypatch) -> Pat
     return tmp_path / "deep"
 
 
-def test_a_cascade_is_added_to_finished_weights(
-    dataset_with_depth: Path, boxes, networks: PoseNetworks, tmp_path: Path, monkeypatch
-):
+@pytest.mark.parametrize(
+    ("part", "stage", "method", "other"),
+    [("cascade", CascadeStage, "early", "rgbd"), ("points", PointStage, "rgbd", "early")],
+)
+def test_a_part_is_added_to_finished_weights(
+    part, stage, method, other,
+    dataset_with_depth: Path, boxes, networks: PoseNetworks, tmp_path: Path, monkeypatch,
+):  # fmt: skip
     monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
-    monkeypatch.setitem(training._STAGES["cascade"], "batch", 1)
-    monkeypatch.setattr(CascadeStage, "validate", lambda self: {"figure": 0.5})
+    monkeypatch.setitem(training._STAGES[part], "batch", 1)
+    monkeypatch.setattr(stage, "validate", lambda self: {"figure": 0.5})
     finished = copy.copy(networks)
     finished.trained = frozenset({"detector", "features", "volume"})
     first = tmp_path / "first.safetensors"
     save_weights(finished, first, {"what": "three parts", "trained_on": "boxes"})
     config = TrainEstimatorConfig(
-        data=dataset_with_depth, out=tmp_path / "out", stages=("cascade",), init=str(first),
-        cascade_steps=1, validation=0.3, threads=1,
+        data=dataset_with_depth, out=tmp_path / "out", stages=(part,), init=str(first),
+        cascade_steps=1, points_steps=1, validation=0.3, threads=1,
     )  # fmt: skip
     path = train_estimator(config)
     header = read_header(path)
-    assert header["trained"] == ["detector", "features", "volume", "cascade"]
-    assert header["training"]["steps"] == {"cascade": 1}
+    assert header["trained"] == ["detector", "features", "volume", part]
+    assert header["training"]["steps"] == {part: 1}
     assert header["started_from"]["trained_on"] == "boxes"
     before, after = load_file(first), load_file(path)
     assert all(torch.equal(before[name], after[name]) for name in before)
     added = [name for name in after if name not in before]
-    assert added and all(name.startswith("cascade.") for name in added)
-    assert pose_estimator.load("early", path).object_names == ("brick", "crate")
-    with pytest.raises(ValueError, match="lack what 'rgbd' needs"):
-        pose_estimator.load("rgbd", path)
+    assert added and all(name.startswith(f"{part}.") for name in added)
+    assert pose_estimator.load(method, path).object_names == ("brick", "crate")
+    with pytest.raises(ValueError, match=f"lack what '{other}' needs"):
+        pose_estimator.load(other, path)
 
 
 def test_new_features_make_the_cascade_on_the_old_ones_useless(
