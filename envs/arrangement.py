@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..pose_estimator.geometry import LINEMOD_K, crop_matrix, project, transform
+from ..pose_estimator.geometry import (
+    LINEMOD_IMAGE_SIZE,
+    LINEMOD_K,
+    crop_matrix,
+    project,
+    transform,
+)
+from .camera import CameraRange
 from .placement import Placed, Resting, free
 
 if TYPE_CHECKING:
@@ -114,3 +121,33 @@ def target_visibility(
     points = transform(T_cam_world @ T_world_obj, scene.objects[target].vertices)
     K = probe_camera(points, PROBE_SIZE)
     return 0.0 if K is None else scene.visibility(target, T_cam_world, K, PROBE_SIZE)
+
+
+def framing_camera(
+    cameras: CameraRange,
+    rng: np.random.Generator,
+    centre: np.ndarray,
+    points: np.ndarray,
+    tries: int,
+) -> np.ndarray:
+    """A camera (4, 4) whose picture holds all points (N, 3) of the world, or most of them.
+
+    Args:
+        cameras: where it may stand around ``centre``.
+        rng: draws it.
+        centre: (3,) metres.
+        points: what should be in the picture.
+        tries: cameras to draw at most; the best one is taken.
+    """
+    height, width = LINEMOD_IMAGE_SIZE
+    best, best_outside = None, np.inf
+    for _ in range(tries):
+        T = cameras.sample(rng, centre)
+        uv = project(transform(T, points), LINEMOD_K)
+        outside = float(np.mean((uv < 2) | (uv > (width - 3, height - 3))))
+        if outside < best_outside:
+            best, best_outside = T, outside
+        if outside == 0:
+            break
+    assert best is not None
+    return best

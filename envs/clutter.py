@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K, project, transform
+from ..pose_estimator.geometry import transform
 from .arrangement import (
     LMO_VISIBILITY,
     Arrangement,
     Thing,
     draw_rest,
     draw_size,
+    framing_camera,
     joined,
     target_visibility,
 )
@@ -148,18 +149,7 @@ class _Search:
         placed = arrangement.objects[self.target].placed
         centre = np.append(placed.xy, placed.resting.height / 2)
         points = transform(placed.T_world_obj, self.vertices)
-        height, width = LINEMOD_IMAGE_SIZE
-        best, best_outside = None, np.inf
-        for _ in range(10):
-            T = self.range.sample(self.rng, centre)
-            uv = project(transform(T, points), LINEMOD_K)
-            outside = float(np.mean((uv < 2) | (uv > (width - 3, height - 3))))
-            if outside < best_outside:
-                best, best_outside = T, outside
-            if outside == 0:
-                break
-        assert best is not None
-        return best
+        return framing_camera(self.range, self.rng, centre, points, tries=10)
 
     def try_rotations(
         self,

@@ -13,8 +13,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K, project, transform
-from .arrangement import LMO_VISIBILITY, Arrangement, Thing, draw_rest, draw_size, probe_camera
+from ..pose_estimator.geometry import transform
+from .arrangement import (
+    LMO_VISIBILITY,
+    Arrangement,
+    Thing,
+    draw_rest,
+    draw_size,
+    framing_camera,
+    probe_camera,
+)
 from .camera import CameraRange
 from .placement import Placed, Resting, pack, resting_shape
 from .world import SHAPE_KINDS, TABLE_HALF
@@ -129,19 +137,7 @@ def _camera(
     elevation = np.deg2rad(np.interp(rng.uniform(), *LMO_ELEVATION))
     elevation = float(np.clip(elevation, *camera.elevation))
     here = replace(camera, elevation=(elevation, elevation))
-    points = _surface(scene, heap)
-    height, width = LINEMOD_IMAGE_SIZE
-    best, best_outside = None, np.inf
-    for _ in range(_TRIES):
-        T = here.sample(rng, middle)
-        uv = project(transform(T, points), LINEMOD_K)
-        outside = float(np.mean((uv < 2) | (uv > (width - 3, height - 3))))
-        if outside < best_outside:
-            best, best_outside = T, outside
-        if outside == 0.0:
-            break
-    assert best is not None
-    return best
+    return framing_camera(here, rng, middle, _surface(scene, heap), _TRIES)
 
 
 def _surface(scene: Scene, heap: Arrangement) -> np.ndarray:

@@ -20,7 +20,6 @@ from .cascade import CascadeViews, DepthOutput
 from .estimate import PoseEstimate
 from .frontend import EncodedView
 from .geometry import grid_matrix, invert, transform
-from .solvers import solve_pose
 from .two_view import TwoViewEstimator
 
 _LEAST_MASK = 0.5
@@ -65,14 +64,7 @@ class EarlyFusionEstimator(TwoViewEstimator):
         )
         variance = variance + behind_surface(model, first.T_cam_obj) ** 2
         keypoints, covariance = back_project(votes, vote_covariance, depth, variance, K_map)
-        return PoseEstimate(
-            T_cam_obj=solve_pose(
-                model.keypoints, keypoints, model.diameter, self.solver, covariance
-            ),
-            keypoints=keypoints,
-            keypoint_covariance=covariance,
-            rois=[e.roi for e in encoded],
-        )
+        return self.answer(encoded, object_name, keypoints, covariance, weigh=True)
 
     def depth_map(
         self, encoded: Sequence[EncodedView], guess: float, diameter: float

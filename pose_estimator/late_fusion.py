@@ -10,7 +10,6 @@ from .agreement import agree
 from .estimate import PoseEstimate
 from .frontend import EncodedView
 from .linear_triangulation import triangulate_linearly
-from .solvers import solve_pose
 from .two_view import TwoViewEstimator
 
 
@@ -28,11 +27,4 @@ class LateFusionEstimator(TwoViewEstimator):
             [e.K_grid for e in agreed],
             [e.view.T_cam_world for e in agreed],
         )
-        return PoseEstimate(
-            T_cam_obj=solve_pose(
-                model.keypoints, keypoints, model.diameter, self.solver, covariance
-            ),
-            keypoints=keypoints,
-            keypoint_covariance=covariance,
-            rois=[e.roi for e in encoded],
-        )
+        return self.answer(encoded, object_name, keypoints, covariance, weigh=True)

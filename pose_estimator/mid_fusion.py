@@ -11,7 +11,6 @@ from .agreement import agree, guess_centre
 from .estimate import PoseEstimate
 from .frontend import EncodedView
 from .geometry import invert
-from .solvers import solve_pose
 from .two_view import TwoViewEstimator
 from .volume import ViewMaps
 
@@ -42,9 +41,5 @@ class MidFusionEstimator(TwoViewEstimator):
             diameter = torch.tensor([model.diameter], dtype=torch.float32)
             fine = self.networks.volume(maps, torch.from_numpy(guess).float()[None], diameter)[-1]
         keypoints = fine.keypoints[0].double().numpy()
-        return PoseEstimate(
-            T_cam_obj=solve_pose(model.keypoints, keypoints, model.diameter, self.solver),
-            keypoints=keypoints,
-            keypoint_covariance=fine.covariance[0].double().numpy(),
-            rois=[e.roi for e in encoded],
-        )
+        covariance = fine.covariance[0].double().numpy()
+        return self.answer(encoded, object_name, keypoints, covariance, weigh=False)

@@ -15,7 +15,6 @@ from .geometry import View, grid_matrix
 from .point_cloud import LEAST_POINTS, sample_points
 from .point_voting import PointMaps, point_features
 from .single_view import check_rois, first_view
-from .solvers import solve_pose
 from .two_view import TwoViewEstimator
 
 
@@ -75,9 +74,5 @@ class RgbdEstimator(TwoViewEstimator):
             index = torch.tensor([self.index(object_name)])
             votes = self.networks.points(maps, cloud, index, diameter)
         keypoints = votes.keypoints[0].double().numpy()
-        return PoseEstimate(
-            T_cam_obj=solve_pose(model.keypoints, keypoints, model.diameter, self.solver),
-            keypoints=keypoints,
-            keypoint_covariance=votes.covariance[0].double().numpy(),
-            rois=[reference.roi],
-        )
+        covariance = votes.covariance[0].double().numpy()
+        return self.answer(encoded, object_name, keypoints, covariance, weigh=False)

@@ -16,6 +16,7 @@ from .estimate import PoseEstimate, Roi, roi_of_pose
 from .frontend import EncodedView, merge_votes
 from .geometry import View, invert, project, transform
 from .single_view import SingleViewEstimator, check_rois, first_view
+from .solvers import solve_pose
 from .symmetry import keypoint_permutations
 
 _LEAST_PRIOR = 25.0
@@ -52,6 +53,33 @@ class TwoViewEstimator(SingleViewEstimator):
             The pose in the reference camera; ``keypoints`` are those that the solver was given.
         """
         raise NotImplementedError(f"{type(self).__name__} does not say how it fuses views")
+
+    def answer(
+        self,
+        encoded: Sequence[EncodedView],
+        object_name: str,
+        keypoints: np.ndarray,
+        covariance: np.ndarray,
+        *,
+        weigh: bool,
+    ) -> PoseEstimate:
+        """The pose of fused keypoints.
+
+        Args:
+            encoded: the views that they come from.
+            object_name: whose keypoints they are.
+            keypoints: (9, 3) in the reference camera, m.
+            covariance: theirs, (9, 3, 3).
+            weigh: let the solver trust each as far as its covariance says, instead of all alike.
+        """
+        model = self.networks.objects[object_name]
+        trust = covariance if weigh else None
+        return PoseEstimate(
+            T_cam_obj=solve_pose(model.keypoints, keypoints, model.diameter, self.solver, trust),
+            keypoints=keypoints,
+            keypoint_covariance=covariance,
+            rois=[e.roi for e in encoded],
+        )
 
     def encode_views(
         self, views: Sequence[View], object_name: str, rois: Sequence[Roi] | None = None
