@@ -16,6 +16,7 @@ from .estimate import PoseEstimate
 from .frontend import EncodedView
 from .geometry import invert, project, transform
 from .multi_view_pnp import multi_view_pnp
+from .pnp import PnpResult
 from .solvers import solve_pose
 from .symmetry import keypoint_permutations
 from .triangulation import triangulate
@@ -68,20 +69,19 @@ def agree(
     return agreed, points
 
 
-def guess_centre(
+def joint_pose(
     encoded: Sequence[EncodedView], points: np.ndarray, model: ObjectModel, first: PoseEstimate
-) -> np.ndarray:
-    """The object's centre (3,) in the reference camera, from the votes of all views.
+) -> PnpResult:
+    """The pose that explains the votes of all views, in the reference camera.
 
-    It is that of the pose that explains all votes, found from ``first`` and from the pose of the
-    triangulated keypoints. Triangulation alone would not do: with a baseline of a few centimetres
-    it is decimetres off.
+    It is found from ``first`` and from the pose of the triangulated keypoints. Triangulation alone
+    would not do: with a baseline of a few centimetres it is decimetres off.
 
     Args:
         encoded: the views, of one mind (see :func:`agree`).
         points: triangulated keypoints (9, 3).
         model: the object.
-        first: the best pose so far.
+        first: the best pose so far, which is also the answer where no pose explains the votes.
     """
     solution = multi_view_pnp(
         model.keypoints,
@@ -93,5 +93,5 @@ def guess_centre(
     )
     centre = transform(solution.T_cam_obj, model.keypoints[-1])
     if not np.isfinite(centre).all() or not 0.1 < centre[2] < 10:
-        return first.keypoints[-1]
-    return centre
+        return PnpResult(first.T_cam_obj, np.eye(6), np.inf)
+    return solution

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from .agreement import agree, guess_centre
+from .agreement import agree, joint_pose
 from .estimate import PoseEstimate
 from .frontend import EncodedView
 from .geometry import invert
+from .lifting import KeypointPrior, ViewMaps
 from .two_view import TwoViewEstimator
-from .volume import ViewMaps
 
 
 class MidFusionEstimator(TwoViewEstimator):
@@ -23,7 +23,8 @@ class MidFusionEstimator(TwoViewEstimator):
     ) -> PoseEstimate:
         model = self.networks.objects[object_name]
         agreed, points = agree(encoded, model)
-        guess = guess_centre(agreed, points, model, first)
+        joint = joint_pose(agreed, points, model, first)
+        prior = KeypointPrior.from_poses([joint], [model.keypoints])
         T_ref_world = invert(encoded[0].view.T_cam_world)
         projections = [e.K_grid @ (e.view.T_cam_world @ T_ref_world)[:3] for e in agreed]
         maps = ViewMaps(
@@ -39,7 +40,7 @@ class MidFusionEstimator(TwoViewEstimator):
             torch.autocast("cpu", torch.bfloat16, enabled=self.frontend._bfloat16),
         ):
             diameter = torch.tensor([model.diameter], dtype=torch.float32)
-            fine = self.networks.volume(maps, torch.from_numpy(guess).float()[None], diameter)[-1]
+            fine = self.networks.volume(maps, prior, diameter)[-1]
         keypoints = fine.keypoints[0].double().numpy()
         covariance = fine.covariance[0].double().numpy()
         return self.answer(encoded, object_name, keypoints, covariance, weigh=False)

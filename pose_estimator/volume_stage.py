@@ -13,13 +13,23 @@ from torch import Tensor
 from .dataset import TargetSample, batches, stack_targets
 from .frontend import vote
 from .geometry import grid_matrix, make_transform
+from .lifting import KeypointPrior, ViewMaps
 from .losses import distribution_loss, keypoint_loss, pose_loss
+from .multi_view_pnp import multi_view_pnp
 from .solvers import RigidMotions, solve
 from .stages import StageBase
 from .symmetry import keypoint_permutations
-from .volume import LevelOutput, ViewMaps
+from .volume import LevelOutput
 
 _Pair = tuple[TargetSample, TargetSample, np.ndarray]
+
+_START_TURN = 0.15
+_START_SHIFT = 0.1
+"""Standard deviation, in radians and diameters along each axis, of the poses from which the joint
+pose is sought in training, where no first estimate is at hand."""
+
+_FARTHEST_GUESS = 0.6
+"""Distance in diameters from the truth up to which a joint pose's centre is trained on."""
 
 _KEYPOINT_WEIGHT = 4.0
 _DISTRIBUTION_WEIGHT = 0.2
@@ -72,12 +82,12 @@ class VolumeStage(StageBase):
         rng: np.random.Generator,
         pose_noise: tuple[float, float] = (0.0, 0.0),
     ) -> dict[str, Any]:
-        """Runs a batch of pairs; the guess of the centre is the truth with noise.
+        """Runs a batch of pairs; what the volume is told of the pose comes from the votes.
 
         Args:
             batch: the pairs.
-            rng: of the noise.
-            pose_noise: of the relative pose that the volume is told, and nothing else.
+            rng: of where the joint pose is sought from, and of the noise.
+            pose_noise: of the relative pose that the volume is told.
         """
         networks = self.networks
         networks.features.eval()
@@ -92,29 +102,60 @@ class VolumeStage(StageBase):
         T_second_ref = np.stack([T for _, _, T in batch])
         K = tensors["K"].reshape(count, 2, 3, 3)
         K = torch.from_numpy(grid_matrix(networks.features.config.stride)).float() @ K
-        projection = _projections(K, T_second_ref)
         truth = self.keypoints[index] @ T_true[:, :3, :3].transpose(1, 2) + T_true[:, None, :3, 3]
-        self._agree(mean, covariance, projection, truth, index)
-        diameter = self.diameters[index]
-        noise = torch.from_numpy(rng.normal(0, 0.1, (count, 3))).float()
-        guess = truth[:, -1] + noise * diameter[:, None]
+        self._agree(mean, covariance, _projections(K, T_second_ref), truth, index)
         if any(pose_noise):
-            projection = _projections(
-                K, np.stack([perturb(T, *pose_noise, rng) for T in T_second_ref])
-            )
+            T_second_ref = np.stack([perturb(T, *pose_noise, rng) for T in T_second_ref])
+        diameter = self.diameters[index]
+        prior = self._prior(mean, covariance, K, T_second_ref, T_true, index, rng)
+        guess, centre = prior.mean[:, -1], truth[:, -1]
+        lost = (guess - centre).norm(dim=-1) > _FARTHEST_GUESS * diameter
+        near = torch.from_numpy(rng.normal(0, 0.1, (count, 3))).float() * diameter[:, None]
+        guess = torch.where(lost[:, None], centre + near, guess)
         side = out.volume.shape[-1]
         maps = ViewMaps(
             features=out.volume.reshape(count, 2, -1, side, side),
-            projection=projection,
+            projection=_projections(K, T_second_ref),
             vote_mean=mean,
             vote_covariance=covariance,
         )
         with self.autocast():
-            levels = networks.volume(maps, guess, diameter)
+            levels = networks.volume(maps, prior, diameter, guess)
         return {
             "levels": levels, "truth": truth, "T_true": T_true, "diameter": diameter,
             "index": index,
         }  # fmt: skip
+
+    def _prior(
+        self,
+        mean: Tensor,
+        covariance: Tensor,
+        K: Tensor,
+        T_second_ref: np.ndarray,
+        T_true: Tensor,
+        index: Tensor,
+        rng: np.random.Generator,
+    ) -> KeypointPrior:
+        """The keypoints of the poses that explain the votes, sought from near the truth."""
+        models = [self.train.models[number] for number in index.tolist()]
+        poses = []
+        for sample, model in enumerate(models):
+            start = T_true[sample].double().numpy().copy()
+            start[:3, :3] = (
+                Rotation.from_rotvec(rng.normal(0, _START_TURN, 3)).as_matrix() @ (start[:3, :3])
+            )
+            start[:3, 3] += rng.normal(0, _START_SHIFT * model.diameter, 3)
+            poses.append(
+                multi_view_pnp(
+                    model.keypoints,
+                    mean[sample].double().numpy(),
+                    covariance[sample].double().numpy(),
+                    list(K[sample].double().numpy()),
+                    [np.eye(4), T_second_ref[sample]],
+                    [start],
+                )
+            )
+        return KeypointPrior.from_poses(poses, [model.keypoints for model in models])
 
     def solve(self, level: LevelOutput, out: dict[str, Any]) -> RigidMotions:
         """The poses that a level's keypoints mean, differentiably."""

@@ -20,7 +20,7 @@ from .features import FeatureConfig
 from .networks import OPTIONAL_PARTS, PARTS, NetworkConfig, PoseNetworks
 from .results import commit, versions, write_atomically
 
-FORMAT = 1
+FORMAT = 2
 SHIPPED = Path(assets.__file__).parent / "weights"
 """Where the weights that come with the package lie."""
 

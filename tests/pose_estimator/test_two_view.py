@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from two_view_pose.pose_estimator.agreement import agree, guess_centre
+from two_view_pose.pose_estimator.agreement import agree, joint_pose
 from two_view_pose.pose_estimator.estimate import PoseEstimate, Roi, roi_of_pose
 from two_view_pose.pose_estimator.geometry import (
     LINEMOD_K,
@@ -108,18 +108,18 @@ def test_votes_are_renumbered_to_the_references(networks):
 
 
 @pytest.mark.parametrize("degrees", [21.0, 65.0])
-def test_the_guess_is_the_centre_whatever_the_baseline(networks, degrees):
+def test_the_joint_pose_is_the_truth_whatever_the_baseline(networks, degrees):
     model = networks.objects["brick"]
     first, _ = looking(networks, SingleViewEstimator, [view(20)])
     frontend = PerfectVotes(networks)
     encoded = [frontend.encode(view(d), 0) for d in (20, degrees)]
     truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
     wrong = truth + np.array([0, 0, 0.3])  # as a triangulation with hardly any baseline may be
-    centre = guess_centre(encoded, wrong, model, first)
-    np.testing.assert_allclose(centre, truth[-1], atol=2e-3)
+    T = joint_pose(encoded, wrong, model, first).T_cam_obj
+    np.testing.assert_allclose(transform(T, model.keypoints), truth, atol=2e-3)
 
 
-def test_votes_that_no_pose_explains_leave_the_guess_near_what_was_known(networks):
+def test_votes_that_no_pose_explains_leave_the_pose_that_was_known(networks):
     model = networks.objects["brick"]
     first, _ = looking(networks, SingleViewEstimator, [view(20)])
     away = make_transform(np.diag([-1.0, 1, -1]), [0, 0, -5.0])  # behind the second camera
@@ -127,8 +127,8 @@ def test_votes_that_no_pose_explains_leave_the_guess_near_what_was_known(network
     encoded = [frontend.encode(view(20), 0), frontend.encode(view(70), 0)]
     lost = replace(encoded[1], view=View(encoded[1].view.image, LINEMOD_K, away))
     far = np.full((9, 3), 50.0)
-    centre = guess_centre([encoded[0], lost], far, model, first)
-    assert np.array_equal(centre, first.keypoints[-1])
+    joint = joint_pose([encoded[0], lost], far, model, first)
+    assert np.array_equal(joint.T_cam_obj, first.T_cam_obj) and np.isinf(joint.cost)
 
 
 def test_wrong_calls_are_refused(networks):

@@ -9,7 +9,12 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 from two_view_pose.pose_estimator.dataset import TrainingSet
-from two_view_pose.pose_estimator.geometry import make_transform
+from two_view_pose.pose_estimator.geometry import (
+    grid_matrix,
+    make_transform,
+    project,
+    transform,
+)
 from two_view_pose.pose_estimator.losses import pose_loss
 from two_view_pose.pose_estimator.networks import PoseNetworks
 from two_view_pose.pose_estimator.volume_stage import VolumeStage, perturb
@@ -86,22 +91,23 @@ def test_the_loss_is_the_weighted_sum_of_its_parts(stage, pairs):
         assert float(total) == pytest.approx(expected, rel=1e-5)
 
 
-def test_pose_noise_moves_the_second_view_and_nothing_else(stage, pairs, monkeypatch):
+def test_pose_noise_moves_what_is_told_of_the_second_view(stage, pairs, monkeypatch):
     seen = []
 
     class Heard(Exception):
         pass
 
-    def hear(views, guess, diameter):
-        seen.append((views, guess))
+    def hear(views, prior, diameter, guess):
+        seen.append((views, prior))
         raise Heard
 
     monkeypatch.setattr(stage.networks.volume, "forward", hear)
     for noise in ((0.0, 0.0), (2.0, 0.01)):
         with pytest.raises(Heard):
             stage.forward(pairs, np.random.default_rng(0), noise)
-    (exact, guess), (noisy, same_guess) = seen
-    assert torch.equal(guess, same_guess)
+    (exact, prior), (noisy, other_prior) = seen
+    # The joint pose is sought with the relative pose that is told.
+    assert not torch.equal(prior.mean, other_prior.mean)
     for name in ("features", "vote_mean", "vote_covariance"):
         assert torch.equal(getattr(exact, name), getattr(noisy, name))
     assert torch.equal(exact.projection[:, 0], noisy.projection[:, 0])
@@ -114,6 +120,33 @@ def test_pose_noise_moves_the_second_view_and_nothing_else(stage, pairs, monkeyp
         angle = Rotation.from_matrix(error[:3, :3]).magnitude()
         assert 1e-4 < angle < np.radians(2) + 1e-3
         assert 1e-5 < np.linalg.norm(error[:3, 3]) < 0.0102
+
+
+def test_the_joint_pose_explains_the_votes(stage, pairs):
+    """With exact votes it is the truth, though it is sought from elsewhere."""
+    out = stage.forward(pairs, np.random.default_rng(0))
+    truth, index = out["truth"], out["index"]
+    samples = [sample for first, second, _ in pairs for sample in (first, second)]
+    stride = stage.networks.features.config.stride
+    K = np.stack([grid_matrix(stride) @ s.K for s in samples]).reshape(-1, 2, 3, 3)
+    T = np.stack([T for _, _, T in pairs])
+    means = np.stack(
+        [
+            [project(points, K[n, 0]), project(transform(T[n], points), K[n, 1])]
+            for n, points in enumerate(truth.double().numpy())
+        ]
+    )
+    prior = stage._prior(
+        torch.from_numpy(means),
+        torch.eye(2).expand(len(pairs), 2, 9, 2, 2) * 0.1,
+        torch.from_numpy(K),
+        T,
+        out["T_true"],
+        index,
+        np.random.default_rng(1),
+    )
+    assert float((prior.mean - truth).norm(dim=-1).max()) < 1e-3
+    assert torch.linalg.eigvalsh(prior.covariance).min() >= 0
 
 
 def _rigid(P: np.ndarray) -> np.ndarray:
