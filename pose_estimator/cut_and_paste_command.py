@@ -155,7 +155,7 @@ def make_picture(
     import numpy as np
 
     from .bop import read_mask, read_rgb
-    from .estimate_command import read_image
+    from .input_files import read_image
     from .pasted_picture import compose, place_anywhere
 
     base = images[int(rng.integers(len(images)))]

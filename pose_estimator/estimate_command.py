@@ -9,9 +9,10 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from .geometry import LINEMOD_K, View, check_intrinsics, check_rigid
+from .input_files import read_depth_map, read_image, read_matrix
 from .results import write_atomically, write_results
 
 if TYPE_CHECKING:
@@ -39,7 +40,12 @@ class EstimateConfig:
     """File (.json, .txt, .npy) with the 4x4 matrix T_second_reference in metres: it maps points in
     the reference camera's frame to the second camera's frame."""
     method: str = "mid"
-    """Estimator: `mid` (two views) or `single`."""
+    """Estimator: `mid`, `early`, `late` (two views), `single`, or `rgbd` (which needs --depth)."""
+    depth: Path | None = None
+    """Depth map of the reference photograph for `rgbd`, aligned with it: a 16-bit PNG or TIFF, or a
+    .npy; 0 where the sensor saw nothing."""
+    depth_unit: float = 0.001
+    """Metres that one step of the depth map means."""
     weights: str = "linemod"
     """Name of shipped weights, or a file."""
     out: Path = Path("pose.json")
@@ -48,55 +54,6 @@ class EstimateConfig:
     """Where the photographs with the model's outline go."""
     json: Path | None = None
     """Results file with the scores and the time taken."""
-
-
-def read_image(path: Path) -> np.ndarray:
-    """Reads a picture file as RGB uint8, (H, W, 3).
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if it is not a picture.
-    """
-    try:
-        with Image.open(path) as picture:
-            return np.asarray(picture.convert("RGB"))
-    except UnidentifiedImageError as error:
-        raise ValueError(f"image {path} is not a picture file (PNG, JPEG, ...)") from error
-
-
-def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray:
-    """Reads a matrix from .json (nested lists, or an object that holds one), .txt or .npy.
-
-    Args:
-        path: the file.
-        name: what to call it in errors.
-        keys: the keys under which a JSON object may hold it.
-
-    Returns:
-        float64; nine or sixteen numbers in a row become 3x3 or 4x4.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if it holds no matrix of numbers.
-    """
-    try:
-        if path.suffix == ".npy":
-            values: Any = np.load(path, allow_pickle=False)
-        elif path.suffix == ".json":
-            values = json.loads(path.read_text(encoding="utf-8"))
-            if isinstance(values, dict):
-                found = [key for key in keys if key in values]
-                if not found:
-                    raise ValueError(f"has none of the keys {', '.join(keys)}")
-                values = values[found[0]]
-        else:
-            values = np.loadtxt(path, delimiter="," if "," in path.read_text() else None)
-        matrix = np.asarray(values, dtype=np.float64)
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{name}: {path} holds no matrix of numbers ({error})") from error
-    if matrix.size in (9, 16) and matrix.ndim == 1:
-        matrix = matrix.reshape(round(matrix.size**0.5), -1)
-    return matrix
 
 
 def parse_intrinsics(text: str) -> np.ndarray:
@@ -133,8 +90,14 @@ def read_views(config: EstimateConfig) -> list[View]:
     """
     if (config.second is None) != (config.relative_pose is None):
         raise ValueError("second and relative_pose go together: give both, or neither for one view")
+    if (config.method == "rgbd") != (config.depth is not None):
+        raise ValueError(
+            "depth and the method rgbd go together: rgbd needs a depth map of the reference "
+            f"photograph, and no other method looks at one (method is {config.method})"
+        )
     K = parse_intrinsics(config.K)
-    views = [View(read_image(config.reference), K, np.eye(4))]
+    depth = None if config.depth is None else read_depth_map(config.depth, config.depth_unit)
+    views = [View(read_image(config.reference), K, np.eye(4), depth)]
     if config.second is not None and config.relative_pose is not None:
         image = read_image(config.second)
         if image.shape != views[0].image.shape:

@@ -25,7 +25,7 @@ OPTIONS = {
     "cut-and-paste": "data out images backgrounds split objects move seed json",
     "train-estimator": "out seed",
     "evaluate": "method weights preset solver roi scene scenes seed data pairs json",
-    "estimate": "reference second K relative-pose object method weights out overlay json",
+    "estimate": "reference second K relative-pose object method depth weights out overlay json",
     "train-agent": "algo steps out env scene seed json",
     "evaluate-agent": "policy scene episodes seed json",
     "compare": "out quick methods weights noisy-weights no-pose-loss-weights data report-only",
@@ -130,6 +130,18 @@ def small_image(inputs):
     return inputs.folder / "small.png"
 
 
+def depth_map(inputs, shape=(480, 640), suffix=".png"):
+    """A depth map of 0.9 m everywhere but in a corner, in millimetres."""
+    depth = np.full(shape, 900, np.uint16)
+    depth[:10, :10] = 0
+    path = inputs.folder / f"depth{suffix}"
+    if suffix == ".npy":
+        np.save(path, depth)
+    else:
+        Image.fromarray(depth).save(path)
+    return path
+
+
 SCALED = np.diag([1.1, 1.1, 1.1, 1.0]).tolist()
 WRONG = {
     "no such picture": (dict(reference=lambda i: i.folder / "no.png"), "no.png"),
@@ -152,6 +164,24 @@ WRONG = {
     "pose no numbers": (
         {"relative-pose": lambda i: write(i, "T3.txt", "hello")},
         "holds no matrix of numbers",
+    ),
+    "rgbd without depth": (dict(method=lambda i: "rgbd"), "depth and the method rgbd go together"),
+    "depth for mid": (dict(depth=lambda i: depth_map(i)), "depth and the method rgbd go together"),
+    "depth is a photograph": (
+        dict(method=lambda i: "rgbd", depth=lambda i: i.folder / "a.png"),
+        "must be one channel of 16 bits",
+    ),
+    "depth is no picture": (
+        dict(method=lambda i: "rgbd", depth=lambda i: write(i, "d.png", "x")),
+        "neither a picture file nor a .npy",
+    ),
+    "depth of another size": (
+        dict(method=lambda i: "rgbd", depth=lambda i: depth_map(i, (240, 320))),
+        "depth must have the picture",
+    ),
+    "depth in no unit": (
+        {"method": lambda i: "rgbd", "depth": lambda i: depth_map(i), "depth-unit": lambda i: 0},
+        "depth_unit must be positive",
     ),
     "no relative pose": ({"relative-pose": lambda i: None}, "second and relative_pose go together"),
 }
@@ -230,6 +260,18 @@ def test_estimate_from_one_photograph(inputs, monkeypatch):
     assert main(command(inputs.options | alone)) == 0
     (view,) = estimator.views
     np.testing.assert_allclose(view.K, LINEMOD_K)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".npy"])
+def test_estimate_from_a_photograph_with_depth(inputs, monkeypatch, suffix):
+    estimator = KnownPose(np.eye(4))
+    monkeypatch.setattr(pose_estimator, "load", lambda method, weights: estimator)
+    options = {"second": None, "relative-pose": None, "method": "rgbd"}
+    options["depth"] = depth_map(inputs, suffix=suffix)
+    assert main(command(inputs.options | options)) == 0
+    (view,) = estimator.views
+    assert view.depth.shape == (480, 640) and view.depth[0, 0] == 0
+    np.testing.assert_allclose(view.depth[20:], 0.9, atol=1e-6)
 
 
 def test_doctor_finds_what_renders(tmp_path, capsys):

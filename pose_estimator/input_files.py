@@ -1,0 +1,88 @@
+"""What a user hands over in files: photographs, depth maps and matrices."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+
+def read_image(path: Path) -> np.ndarray:
+    """Reads a picture file as RGB uint8, (H, W, 3).
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is not a picture.
+    """
+    try:
+        with Image.open(path) as picture:
+            return np.asarray(picture.convert("RGB"))
+    except UnidentifiedImageError as error:
+        raise ValueError(f"image {path} is not a picture file (PNG, JPEG, ...)") from error
+
+
+def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray:
+    """Reads a matrix from .json (nested lists, or an object that holds one), .txt or .npy.
+
+    Args:
+        path: the file.
+        name: what to call it in errors.
+        keys: the keys under which a JSON object may hold it.
+
+    Returns:
+        float64; nine or sixteen numbers in a row become 3x3 or 4x4.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it holds no matrix of numbers.
+    """
+    try:
+        if path.suffix == ".npy":
+            values: Any = np.load(path, allow_pickle=False)
+        elif path.suffix == ".json":
+            values = json.loads(path.read_text(encoding="utf-8"))
+            if isinstance(values, dict):
+                found = [key for key in keys if key in values]
+                if not found:
+                    raise ValueError(f"has none of the keys {', '.join(keys)}")
+                values = values[found[0]]
+        else:
+            values = np.loadtxt(path, delimiter="," if "," in path.read_text() else None)
+        matrix = np.asarray(values, dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{name}: {path} holds no matrix of numbers ({error})") from error
+    if matrix.size in (9, 16) and matrix.ndim == 1:
+        matrix = matrix.reshape(round(matrix.size**0.5), -1)
+    return matrix
+
+
+def read_depth_map(path: Path, unit: float) -> np.ndarray:
+    """Reads a depth map in metres, float32 (H, W), 0 where nothing was seen.
+
+    Args:
+        path: a 16-bit grey PNG or TIFF, or a .npy.
+        unit: metres that a step of the file means.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it holds no map, or ``unit`` is not positive.
+    """
+    if not 0 < unit < float("inf"):
+        raise ValueError(f"depth_unit must be positive metres a step, got {unit}")
+    try:
+        if path.suffix == ".npy":
+            steps = np.load(path, allow_pickle=False)
+        else:
+            with Image.open(path) as picture:
+                steps = np.asarray(picture)
+    except (UnidentifiedImageError, ValueError) as error:
+        raise ValueError(f"depth {path} is neither a picture file nor a .npy array") from error
+    if steps.ndim != 2 or steps.dtype.kind not in "uif" or steps.dtype == np.uint8:
+        raise ValueError(
+            f"depth {path} must be one channel of 16 bits or more (or a .npy of numbers), got "
+            f"{steps.dtype} of shape {steps.shape}"
+        )
+    return (steps * unit).astype(np.float32)
