@@ -48,7 +48,7 @@ VERBS = {
         "puts pictures together from objects cut out of a BOP data set",
     ),
     "train-estimator": Verb(
-        "pose_estimator.training:TrainEstimatorConfig",
+        "pose_estimator.training_config:TrainEstimatorConfig",
         "pose_estimator.training:train_estimator",
         "trains the pose estimator on generated data",
     ),

@@ -16,12 +16,6 @@ from .features import FeatureConfig, KeypointNet
 from .point_voting import PointVotingNet
 from .volume import PRESETS, VolumeNet
 
-PARTS = ("detector", "features", "volume", "cascade", "points")
-"""The networks by name, in the order of their training."""
-
-OPTIONAL_PARTS = ("cascade", "points")
-"""Networks that weights may lack: those of ``early`` and ``rgbd``."""
-
 
 @dataclass(frozen=True)
 class NetworkConfig:

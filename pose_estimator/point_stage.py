@@ -17,8 +17,8 @@ from .geometry import grid_matrix
 from .losses import keypoint_loss, pose_loss
 from .point_cloud import LEAST_POINTS, sample_points
 from .point_voting import PointMaps, PointVotes, point_features
-from .solvers import solve
-from .stages import StageBase
+from .solvers import RigidMotions, solve
+from .stages import StageBase, correct_poses
 
 _HELD_OUT_BATCHES = 10
 """Batches of 32 crops that a validation takes."""
@@ -137,22 +137,18 @@ class PointStage(StageBase):
         """3D keypoint distance over the diameter, and ADD(-S) recall, on noisy depth."""
         self.networks.points.eval()
         rng = np.random.default_rng(1)
-        errors, hits = [], []
+        errors: list[np.ndarray] = []
+        hits: list[bool] = []
         for _ in range(_HELD_OUT_BATCHES):
             batch = [noisy(self.held_out, rng) for _ in range(32)]
             out = self.forward(batch, rng)
             distance = (out["votes"].keypoints - out["truth"]).norm(dim=-1).mean(1)
             errors.append((distance / out["diameter"])[out["enough"]].numpy())
-            for sample in np.flatnonzero(out["enough"].numpy()):
-                model = self.held_out.models[batch[sample].object_index]
-                R = out["solution"].rotation[sample].numpy()
-                t = out["solution"].translation[sample].numpy()
-                moved = model.points @ R.T + t
-                best = min(
-                    np.linalg.norm(moved - (model.points @ T[:3, :3].T + T[:3, 3]), axis=1).mean()
-                    for T in batch[sample].T_cam_obj @ model.symmetries
-                )
-                hits.append(best < 0.1 * model.diameter)
+            keep = out["enough"]
+            motions = RigidMotions(*(part[keep] for part in out["solution"]))
+            hits += correct_poses(
+                motions, out["index"][keep], out["T_true"][keep], self.held_out.models
+            )
         return {
             "keypoint_over_diameter": float(np.mean(np.concatenate(errors))),
             "add_recall": float(np.mean(hits)),

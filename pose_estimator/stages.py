@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from ..assets.object_model import ObjectModel
 from .dataset import TargetSample, TrainingSet, batches, stack_targets
 from .detector import decode
 from .frontend import vote
+from .geometry import make_transform
 from .losses import box_loss, direction_loss, heat_map_loss, mask_loss
+from .metrics import add_or_add_s
 from .networks import PoseNetworks, has_fast_bfloat16
+from .solvers import RigidMotions
 
 _Frame = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -46,6 +50,32 @@ class StageBase:
     def autocast(self) -> torch.autocast:
         """bfloat16 where the CPU is fast at it."""
         return torch.autocast("cpu", torch.bfloat16, enabled=self.bfloat16)
+
+
+def correct_poses(
+    motions: RigidMotions, index: Tensor, T_true: Tensor, models: Sequence[ObjectModel]
+) -> list[bool]:
+    """Whether each pose's ADD, or ADD-S on a symmetric object, is below a tenth of the diameter.
+
+    Args:
+        motions: B poses.
+        index: (B,) of which object.
+        T_true: (B, 4, 4).
+        models: the objects.
+    """
+    correct = []
+    rotations, translations = motions.rotation.double(), motions.translation.double()
+    for R, t, number, T in zip(
+        rotations.numpy(),
+        translations.numpy(),
+        index.tolist(),
+        T_true.double().numpy(),
+        strict=True,
+    ):
+        model = models[number]
+        error = add_or_add_s(make_transform(R, t), T, model)
+        correct.append(bool(error < 0.1 * model.diameter))
+    return correct
 
 
 class DetectorStage(StageBase):

@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 
 from ..assets.object_model import ObjectModel
-from .networks import PARTS, PoseNetworks
+from .networks import PoseNetworks
+from .parts import PARTS
 
 _ROWS = ("embedding.weight", "head_weight", "head_bias")
 """Ends of the names of tensors with one row an object."""

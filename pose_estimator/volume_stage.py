@@ -17,7 +17,7 @@ from .lifting import KeypointPrior, ViewMaps
 from .losses import distribution_loss, keypoint_loss, pose_loss
 from .multi_view_pnp import multi_view_pnp
 from .solvers import RigidMotions, solve
-from .stages import StageBase
+from .stages import StageBase, correct_poses
 from .symmetry import keypoint_permutations
 from .volume import LevelOutput
 
@@ -214,7 +214,8 @@ class VolumeStage(StageBase):
         """3D keypoint distance over the diameter, and ADD(-S) recall, guess with noise."""
         self.networks.volume.eval()
         rng = np.random.default_rng(1)
-        errors, hits = [], []
+        errors: list[np.ndarray] = []
+        hits: list[bool] = []
         # Volumes with voxels of a fixed size are a hundred times as large as others.
         rounds, size = (16, 16) if self.networks.volume.config.fine.cells else (24, 2)
         for _ in range(rounds):
@@ -223,19 +224,7 @@ class VolumeStage(StageBase):
             solution = self.solve(out["levels"][-1], out)
             distance = (out["levels"][-1].keypoints - out["truth"]).norm(dim=-1).mean(1)
             errors.append((distance / out["diameter"]).numpy())
-            for sample, number in enumerate(out["index"].tolist()):
-                model = self.held_out.models[number]
-                R = solution.rotation[sample].numpy()
-                t = solution.translation[sample].numpy()
-                T = out["T_true"][sample].numpy()
-                moved = model.points @ R.T + t
-                best = min(
-                    np.linalg.norm(
-                        moved - (model.points @ (T @ S)[:3, :3].T + (T @ S)[:3, 3]), axis=1
-                    ).mean()
-                    for S in model.symmetries
-                )
-                hits.append(best < 0.1 * model.diameter)
+            hits += correct_poses(solution, out["index"], out["T_true"], self.held_out.models)
         return {
             "keypoint_over_diameter": float(np.mean(np.concatenate(errors))),
             "add_recall": float(np.mean(hits)),

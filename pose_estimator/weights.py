@@ -17,7 +17,8 @@ from .. import assets
 from ..assets.storage import read_object, save_object
 from .detector import DetectorConfig
 from .features import FeatureConfig
-from .networks import OPTIONAL_PARTS, PARTS, NetworkConfig, PoseNetworks
+from .networks import NetworkConfig, PoseNetworks
+from .parts import OPTIONAL_PARTS, PARTS
 from .results import commit, versions, write_atomically
 
 FORMAT = 2

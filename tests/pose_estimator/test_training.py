@@ -11,7 +11,7 @@ import torch
 from boxes_with_depth import box_depth
 from safetensors.torch import load_file
 from two_view_pose import assets, pose_estimator
-from two_view_pose.pose_estimator import crops, trainer, training
+from two_view_pose.pose_estimator import crops, trainer, training_config
 from two_view_pose.pose_estimator.bop import read_dataset, read_mask, read_rgb
 from two_view_pose.pose_estimator.bop_writer import BopFrame, write_scene
 from two_view_pose.pose_estimator.crops import CropPack
@@ -20,19 +20,15 @@ from two_view_pose.pose_estimator.depth_stage import CascadeStage
 from two_view_pose.pose_estimator.networks import PoseNetworks
 from two_view_pose.pose_estimator.point_stage import PointStage
 from two_view_pose.pose_estimator.stages import DetectorStage, FeatureStage
-from two_view_pose.pose_estimator.training import (
-    TrainEstimatorConfig,
-    _describe_data,
-    train_estimator,
-)
+from two_view_pose.pose_estimator.training import _describe_data, train_estimator
+from two_view_pose.pose_estimator.training_config import TrainEstimatorConfig
 from two_view_pose.pose_estimator.volume_stage import VolumeStage
 from two_view_pose.pose_estimator.weights import read_header, save_weights
 
 
 def test_unknown_stages_are_named(tmp_path: Path):
-    config = TrainEstimatorConfig(data=tmp_path, out=tmp_path / "out", stages=("features", "magic"))
     with pytest.raises(ValueError, match=r"unknown stages \['magic'\]; there are detector"):
-        train_estimator(config)
+        TrainEstimatorConfig(data=tmp_path, out=tmp_path / "out", stages=("features", "magic"))
 
 
 def test_all_stages_end_in_weights_that_load(
@@ -41,7 +37,7 @@ def test_all_stages_end_in_weights_that_load(
     monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
     stages = {"detector": DetectorStage, "features": FeatureStage, "volume": VolumeStage}
     for name, stage in stages.items():
-        monkeypatch.setitem(training._STAGES[name], "batch", 2)
+        monkeypatch.setitem(training_config._STAGES, name, (2, 1e-3))
         monkeypatch.setattr(stage, "validate", lambda self: {"figure": 0.5})
     config = TrainEstimatorConfig(
         data=dataset, out=tmp_path / "out", detector_steps=1, feature_steps=1, volume_steps=1,
@@ -91,7 +87,7 @@ def test_a_part_is_added_to_finished_weights(
     dataset_with_depth: Path, boxes, networks: PoseNetworks, tmp_path: Path, monkeypatch,
 ):  # fmt: skip
     monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
-    monkeypatch.setitem(training._STAGES[part], "batch", 1)
+    monkeypatch.setitem(training_config._STAGES, part, (1, 1e-3))
     monkeypatch.setattr(stage, "validate", lambda self: {"figure": 0.5})
     finished = copy.copy(networks)
     finished.trained = frozenset({"detector", "features", "volume"})

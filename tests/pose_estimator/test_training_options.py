@@ -9,11 +9,12 @@ import pytest
 import torch
 from safetensors.torch import load_file
 from two_view_pose import assets, pose_estimator
-from two_view_pose.pose_estimator import training
+from two_view_pose.pose_estimator import training_config
 from two_view_pose.pose_estimator.crops import CropPack
 from two_view_pose.pose_estimator.dataset import TrainingSet
 from two_view_pose.pose_estimator.networks import PoseNetworks
-from two_view_pose.pose_estimator.training import TrainEstimatorConfig, train_estimator
+from two_view_pose.pose_estimator.training import train_estimator
+from two_view_pose.pose_estimator.training_config import TrainEstimatorConfig
 from two_view_pose.pose_estimator.volume import PRESETS, LevelConfig
 from two_view_pose.pose_estimator.volume_stage import VolumeStage
 from two_view_pose.pose_estimator.weights import read_header, save_weights
@@ -33,8 +34,8 @@ def quick(monkeypatch, boxes) -> None:
     """Lets a training take a second."""
     monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
     monkeypatch.setattr(VolumeStage, "validate", lambda self: {"figure": 0.5})
-    for settings in (training._STAGES["volume"], training._PAPER_VOLUME):
-        monkeypatch.setitem(settings, "batch", 1)
+    monkeypatch.setitem(training_config._STAGES, "volume", (1, 2e-3))
+    monkeypatch.setattr(training_config, "_PAPER_VOLUME", (1, 1e-3))
 
 
 def test_a_paper_volume_is_trained_on_finished_features(

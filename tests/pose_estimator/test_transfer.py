@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 import torch
-from two_view_pose.pose_estimator.networks import PARTS, NetworkConfig, PoseNetworks
-from two_view_pose.pose_estimator.training import TrainEstimatorConfig, start_from
+from two_view_pose.pose_estimator.networks import NetworkConfig, PoseNetworks
+from two_view_pose.pose_estimator.parts import PARTS
+from two_view_pose.pose_estimator.training import start_from
+from two_view_pose.pose_estimator.training_config import TrainEstimatorConfig
 from two_view_pose.pose_estimator.transfer import _object_rows, take_over
 from two_view_pose.pose_estimator.weights import save_weights
 

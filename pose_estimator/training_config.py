@@ -1,0 +1,132 @@
+"""Options of the verb ``train-estimator``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from .parts import PARTS
+
+_STAGES = {
+    "detector": (16, 1e-3),
+    "features": (32, 1e-3),
+    "volume": (12, 2e-3),
+    "cascade": (8, 2e-3),
+    "points": (32, 2e-3),
+}
+"""Samples in a batch and the largest learning rate of each stage."""
+
+_PAPER_VOLUME = (2, 1e-3)
+"""The same of the stage volume with the preset ``paper``, which has a hundred times the voxels."""
+
+
+@dataclass(frozen=True)
+class StageSettings:
+    """How long and how one stage is trained.
+
+    Attributes:
+        steps: batches in all.
+        batch: samples in each.
+        learning_rate: its maximum.
+    """
+
+    steps: int
+    batch: int
+    learning_rate: float
+
+
+@dataclass(frozen=True)
+class TrainEstimatorConfig:
+    """Trains the networks of the estimators on a BOP dataset that `generate` made.
+
+    Three stages follow each other: detector, 2D features, volume (of `mid`). Two more build on the
+    2D features and need a dataset that was generated with --depth: cascade (of `early`) and points
+    (of `rgbd`); with --init they are added to finished weights. Each stage writes checkpoints into
+    --out; the same command continues where a killed run stopped. On two cores the default takes
+    about two hours.
+    """
+
+    data: Path
+    """BOP dataset, as `generate` writes it."""
+    out: Path
+    """Folder for checkpoints, log and the finished weights (OUT/weights.safetensors)."""
+    objects: tuple[str, ...] = ()
+    """Objects to train, by name or path of a mesh; none = the 13 of LineMOD."""
+    split: str = "train_pbr"
+    """Folder of the dataset that holds the scenes."""
+    stages: tuple[str, ...] = ("detector", "features", "volume")
+    """Which stages to run: detector, features, volume, cascade, points. They run in this order."""
+    detector_steps: int = 1200
+    """Batches of 16 frames."""
+    feature_steps: int = 10000
+    """Batches of 32 crops."""
+    volume_steps: int = 3000
+    """Batches of 12 pairs of crops; of 2 with `--preset paper`."""
+    cascade_steps: int = 4000
+    """Batches of 8 pairs of crops with depth."""
+    points_steps: int = 4000
+    """Batches of 32 crops with depth."""
+    frozen_stages: int = 2
+    """How many stages of the pretrained encoders stay as they are: fewer learn more, more are
+    quicker. It may change when a run is resumed."""
+    learning_rate: float = 1.0
+    """Multiplies every stage's learning rate."""
+    preset: str = "fast"
+    """Volumes of the Mid-Fusion: `fast` or `paper`, which has the paper's grids, layers and losses.
+    `--preset paper --stages volume --init linemod` trains such a volume alone, on finished 2D
+    features: about two seconds a step on two cores, two to three hours for 4000."""
+    pose_noise: tuple[float, float] = (0.0, 0.0)
+    """Largest error of the relative camera pose that the volume is told in training: degrees and
+    millimetres."""
+    pose_loss: float = 1.0
+    """Weight of the pose loss in the volume's training; 0 trains without it."""
+    cut_and_paste: float = 0.0
+    """Probability that another object is pasted over a crop, and that its background is replaced by
+    a piece of another picture."""
+    init: str | None = None
+    """Weights to start from instead of ImageNet: the name of shipped ones, or a .safetensors file.
+    What is not trained anew is kept. Of other objects' weights, or those of another preset, the
+    parts are taken over that fit, and what these are is printed."""
+    pretrained: bool = True
+    """Start the encoders from ImageNet (needs the extra `train`)."""
+    validation: float = 0.03
+    """Fraction of the scenes that is held out."""
+    seed: int = 0
+    """Of everything random."""
+    threads: int = 0
+    """Threads for the networks; 0 = as many as there are cores."""
+    checkpoint_every: float = 120.0
+    """Seconds between checkpoints."""
+    resume: bool = True
+    """Continue from the checkpoints in --out; --no-resume starts anew."""
+    json: Path | None = None
+    """Write the held-out figures as a results file."""
+
+    def __post_init__(self) -> None:
+        for name, values in (("pose_noise", self.pose_noise), ("pose_loss", (self.pose_loss,))):
+            if not all(0 <= value < math.inf for value in values):
+                raise ValueError(f"{name} must be finite and at least 0, got {getattr(self, name)}")
+        if not 0 <= self.cut_and_paste <= 1:
+            raise ValueError(f"cut_and_paste must be 0 to 1, got {self.cut_and_paste}")
+        unknown = [stage for stage in self.stages if stage not in PARTS]
+        if unknown:
+            raise ValueError(f"unknown stages {unknown}; there are {', '.join(PARTS)}")
+
+    def stage(self, name: str) -> StageSettings:
+        """How a stage is trained.
+
+        Args:
+            name: one of ``PARTS``.
+        """
+        batch, learning_rate = _STAGES[name]
+        if name == "volume" and self.preset == "paper":
+            batch, learning_rate = _PAPER_VOLUME
+        steps = {
+            "detector": self.detector_steps,
+            "features": self.feature_steps,
+            "volume": self.volume_steps,
+            "cascade": self.cascade_steps,
+            "points": self.points_steps,
+        }[name]
+        return StageSettings(steps, batch, learning_rate * self.learning_rate)
