@@ -191,12 +191,9 @@ def train_stage(
         run_stage(stage, loop, log)  # type: ignore[arg-type]
     else:
         restore_model(stage.module, checkpoint)  # type: ignore[attr-defined]
-    # Parts that were trained on other features are of no use with these; the volume's training
-    # changes the map that the points read.
     if name == "features":
+        # Parts that were trained on other features are of no use with these.
         networks.trained -= {"volume", "cascade", "points"}
-    elif name == "volume":
-        networks.trained -= {"points"}
     networks.trained |= {name}
     return True
 

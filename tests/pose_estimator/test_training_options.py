@@ -17,7 +17,7 @@ from two_view_pose.pose_estimator.training import train_estimator
 from two_view_pose.pose_estimator.training_config import TrainEstimatorConfig
 from two_view_pose.pose_estimator.volume import PRESETS, LevelConfig
 from two_view_pose.pose_estimator.volume_stage import VolumeStage
-from two_view_pose.pose_estimator.weights import read_header, save_weights
+from two_view_pose.pose_estimator.weights import read_header, read_networks, save_weights
 
 
 @pytest.fixture
@@ -97,19 +97,22 @@ def test_options_reach_the_stage_in_metres_and_the_sets(
     assert stage.train._paster is not None and stage.held_out._paster is None
 
 
-def test_points_that_read_the_old_volumes_features_are_dropped(
+def test_a_new_volume_leaves_the_parts_that_do_not_read_it(
     dataset: Path, pack: CropPack, boxes, tmp_path: Path, monkeypatch
 ):
     quick(monkeypatch, boxes)
     networks = PoseNetworks(boxes)
     networks.trained = frozenset({"detector", "features", "points", "cascade"})
+    points = {n: t.clone() for n, t in networks.points.state_dict().items()}
     save_weights(networks, tmp_path / "first.safetensors", {})
     config = TrainEstimatorConfig(
         data=dataset, out=tmp_path / "out", stages=("volume",), volume_steps=1, validation=0.3,
         init=str(tmp_path / "first.safetensors"), threads=1,
     )  # fmt: skip
-    trained = read_header(train_estimator(config))["trained"]
-    assert trained == ["detector", "features", "volume", "cascade"]
+    path = train_estimator(config)
+    assert read_header(path)["trained"] == ["detector", "features", "volume", "cascade", "points"]
+    kept = read_networks(path).points.state_dict()
+    assert all(torch.allclose(kept[n], t, atol=1e-3) for n, t in points.items())
 
 
 @pytest.mark.parametrize(
