@@ -72,7 +72,7 @@ def agree(
 def joint_pose(
     encoded: Sequence[EncodedView], points: np.ndarray, model: ObjectModel, first: PoseEstimate
 ) -> PnpResult:
-    """The pose that explains the votes of all views and the sizes in them, in the reference camera.
+    """The pose that explains the votes of all views, in the reference camera.
 
     It is found from ``first`` and from the pose of the triangulated keypoints. Triangulation alone
     would not do: with a baseline of a few centimetres it is decimetres off.
@@ -90,7 +90,6 @@ def joint_pose(
         [e.K_grid for e in encoded],
         [e.view.T_cam_world for e in encoded],
         [first.T_cam_obj, solve_pose(model.keypoints, points, model.diameter)],
-        [e.depth for e in encoded if e.depth is not None],
     )
     centre = transform(solution.T_cam_obj, model.keypoints[-1])
     if not np.isfinite(centre).all() or not 0.1 < centre[2] < 10:

@@ -18,7 +18,6 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from .encoder import Encoder
-from .size_head import SizeHead
 
 KEYPOINTS = 9
 
@@ -56,14 +55,12 @@ class Features2D(NamedTuple):
             unit length, and shrink where the network is unsure.
         volume: (B, C, G, G), features for the volume.
         decoder: (B, W, G, G), the decoder's last map, of which the others are projections.
-        size: (B, 2), how large the object appears; see :class:`SizeHead`.
     """
 
     mask_logits: Tensor
     directions: Tensor
     volume: Tensor
     decoder: Tensor
-    size: Tensor
 
 
 class ConvBlock(nn.Sequential):
@@ -141,7 +138,6 @@ class KeypointNet(nn.Module):
         self.refine8 = Refinement(96)
         self.refine4 = Refinement(width)
         self.volume_head = nn.Conv2d(width, config.volume_channels, 1)
-        self.size_head = SizeHead(width, (c16, c32), 64, config.crop // 32)
         outputs = 1 + 2 * KEYPOINTS
         self.head_weight = nn.Parameter(torch.randn(objects, outputs, width) * width**-0.5)
         self.head_bias = nn.Parameter(torch.zeros(objects, outputs))
@@ -180,7 +176,6 @@ class KeypointNet(nn.Module):
             directions=maps[:, 1:].reshape(batch, KEYPOINTS, 2, height, breadth),
             volume=self.volume_head(x),
             decoder=x,
-            size=self.size_head(x, maps[:, 0], f16, f32, embedding),
         )
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,18 +9,14 @@ import torch
 from torch import Tensor
 
 from .crops import warp_crop
-from .depth_prior import DepthPrior
 from .detector import decode, detector_input
 from .estimate import Roi
-from .features import FeatureConfig, Features2D
+from .features import Features2D
 from .geometry import View, crop_matrix, grid_matrix
 from .networks import PoseNetworks, has_fast_bfloat16
 from .voting import vote_keypoints
 
 _CACHED_VIEWS = 4
-
-_LEAST_DEPTH_DEVIATION = 0.01
-"""Standard deviation of the logarithm of a depth from the size that is believed at best."""
 
 _MERGE_FLOOR = 0.3
 """Variance in grid pixels that two crops' votes are given at least when they are averaged."""
@@ -44,7 +38,6 @@ class EncodedView:
         mask: (G, G) probability of the visible object.
         decoder: (W, G, G) the last map of the 2D network.
         maps: the encoder's maps of the crop, (C, S, S) at strides 2 to 32.
-        depth: how far away the object is as its size has it.
     """
 
     view: View
@@ -58,7 +51,6 @@ class EncodedView:
     mask: np.ndarray
     decoder: Tensor | None = None
     maps: tuple[Tensor, ...] = ()
-    depth: DepthPrior | None = None
 
     @property
     def pixels(self) -> np.ndarray:
@@ -135,10 +127,6 @@ class Frontend:
             maps = network.encoder.pyramid(crops.contiguous(memory_format=torch.channels_last))
             features = network.decode(maps, torch.tensor([index]))
         mean, covariance, score = vote(features)
-        model = list(self.networks.objects.values())[index]
-        (depth,) = depth_priors(
-            features.size, torch.from_numpy(to_crop @ view.K)[None], [model.diameter], config
-        )
         to_grid = grid_matrix(config.stride) @ to_crop
         return EncodedView(
             view=view,
@@ -152,7 +140,6 @@ class Frontend:
             mask=torch.sigmoid(features.mask_logits[0].float()).numpy(),
             decoder=features.decoder[0],
             maps=tuple(m[0] for m in maps),
-            depth=depth,
         )
 
 
@@ -173,26 +160,6 @@ def vote(features: Features2D) -> tuple[Tensor, Tensor, Tensor]:
     return votes.mean, votes.covariance, votes.score
 
 
-def depth_priors(
-    size: Tensor, K_crop: Tensor, diameters: Sequence[float], config: FeatureConfig
-) -> list[DepthPrior]:
-    """What the apparent sizes of B objects say of their depths.
-
-    Args:
-        size: (B, 2) of the 2D network.
-        K_crop: (B, 3, 3) cameras of the crops.
-        diameters: B, m.
-        config: of the 2D network.
-    """
-    focal = torch.linalg.det(K_crop[:, :2, :2].double()).abs().sqrt()
-    side = torch.exp(size[:, 0].detach().double()) * (config.crop / config.roi_scale)
-    error = torch.exp(size[:, 1].detach().double())
-    return [
-        DepthPrior(f * d / s, max(math.sqrt(2) * e, _LEAST_DEPTH_DEVIATION))
-        for f, d, s, e in zip(focal.tolist(), diameters, side.tolist(), error.tolist(), strict=True)
-    ]
-
-
 def merge_votes(view: EncodedView, other: EncodedView, permutations: np.ndarray) -> EncodedView:
     """Averages the votes of two crops of one picture, each keypoint by its two covariances.
 
@@ -203,8 +170,8 @@ def merge_votes(view: EncodedView, other: EncodedView, permutations: np.ndarray)
             one that is nearest to ``view``.
 
     Returns:
-        ``view`` with both crops' votes and sizes. Their errors are those of one network on one
-        picture, not independent ones, so the covariance is that of one crop.
+        ``view`` with both crops' votes. Their errors are those of one network on one picture, not
+        independent ones, so the covariance is that of one crop.
     """
     A = np.linalg.inv(view.to_image) @ other.to_image
     moved = (other.vote_mean @ A[:2, :2].T + A[:2, 2])[permutations]
@@ -219,14 +186,4 @@ def merge_votes(view: EncodedView, other: EncodedView, permutations: np.ndarray)
         view,
         vote_mean=np.einsum("kij,kj->ki", covariance, weighted),
         vote_covariance=2 * covariance,
-        depth=_merge_depths(view.depth, other.depth),
     )
-
-
-def _merge_depths(depth: DepthPrior | None, other: DepthPrior | None) -> DepthPrior | None:
-    """The mean of both, as sure as either: they are of one network on one picture."""
-    if depth is None or other is None:
-        return depth or other
-    a, b = depth.deviation**-2, other.deviation**-2
-    mean = (a * math.log(depth.depth) + b * math.log(other.depth)) / (a + b)
-    return DepthPrior(math.exp(mean), math.sqrt(2 / (a + b)))

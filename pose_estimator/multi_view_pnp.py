@@ -12,11 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .depth_prior import DepthPrior, WithDepths
 from .geometry import check_intrinsics, check_rigid, invert, make_transform
 from .pnp import (
     NEAREST_POINT,
-    PnpProblem,
     PnpResult,
     huber_cost,
     point_jacobian,
@@ -34,7 +32,6 @@ def multi_view_pnp(
     Ks: Sequence[np.ndarray],
     T_cam_world: Sequence[np.ndarray],
     starts: Sequence[np.ndarray],
-    depths: Sequence[DepthPrior] = (),
 ) -> PnpResult:
     """The pose that best explains the keypoints of all views, each as far as it can be trusted.
 
@@ -45,7 +42,6 @@ def multi_view_pnp(
         Ks: V camera matrices, (3, 3) each.
         T_cam_world: V transforms, (4, 4) each, metres. The world is any frame they share.
         starts: poses T_cam_obj (4, 4) in the first camera to start from; the best end is taken.
-        depths: guesses of how far the object's origin is, one for each view, or none at all.
 
     Returns:
         The pose in the first camera. Where no start lies in front of all cameras, the first start,
@@ -63,18 +59,13 @@ def multi_view_pnp(
     if len(T_cam_world) != len(Ks) or not len(starts):
         raise ValueError(f"needs {len(Ks)} camera poses and a start, got {len(T_cam_world)} poses")
     cameras = np.stack([check_rigid(T, f"T_cam_world[{i}]") for i, T in enumerate(T_cam_world)])
-    if len(depths) not in (0, len(Ks)):
-        raise ValueError(f"depths must be one for each of {len(Ks)} views, got {len(depths)}")
-    T_view_first = cameras @ invert(cameras[0])
-    problem: PnpProblem = _Problem(
+    problem = _Problem(
         model_points=np.asarray(model_points, dtype=np.float64),
         pixels=np.nan_to_num(np.asarray(pixels, dtype=np.float64), posinf=0, neginf=0),
         Ks=np.stack([check_intrinsics(K, f"Ks[{i}]") for i, K in enumerate(Ks)]),
-        T_view_first=T_view_first,
+        T_view_first=cameras @ invert(cameras[0]),
         whiteners=np.stack([whiteners(*pair) for pair in zip(pixels, covariances, strict=True)]),
     )
-    if depths:
-        problem = WithDepths(problem, depths, T_view_first)
     best = PnpResult(np.array(starts[0], dtype=np.float64), np.eye(6), np.inf)
     for start in starts:
         rotation, translation = start[:3, :3], start[:3, 3]

@@ -18,7 +18,6 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from .depth_prior import DepthPrior, WithDepths
 from .geometry import check_intrinsics, make_transform
 
 _NEAREST = 0.05
@@ -52,11 +51,7 @@ class PnpResult:
 
 
 def uncertainty_pnp(
-    model_points: np.ndarray,
-    pixels: np.ndarray,
-    covariances: np.ndarray,
-    K: np.ndarray,
-    depth: DepthPrior | None = None,
+    model_points: np.ndarray, pixels: np.ndarray, covariances: np.ndarray, K: np.ndarray
 ) -> PnpResult:
     """The pose that best explains the keypoints, each as far as it can be trusted.
 
@@ -68,7 +63,6 @@ def uncertainty_pnp(
         pixels: (N, 2).
         covariances: of the pixels, (N, 2, 2), pixels squared.
         K: camera matrix, (3, 3).
-        depth: a guess of how far the object's origin is, if there is one.
 
     Raises:
         ValueError: if shapes do not match, there are fewer than 4 points, or ``K`` is no camera
@@ -85,23 +79,16 @@ def uncertainty_pnp(
         whiteners(pixels, covariances),
     )
 
-    goal: PnpProblem = problem
-    if depth is not None:
-        goal = WithDepths(problem, [depth], np.eye(4)[None])
     known = np.any(problem.whiteners, axis=(1, 2))
     candidates = [_guess(problem)]
-    costs = [goal.cost(*candidates[0])]
+    costs = [problem.cost(*candidates[0])]
     if known.sum() >= 4:
         candidates += _solve(problem, known, cv2.SOLVEPNP_SQPNP)
-        costs += [goal.cost(*pose) for pose in candidates[len(costs) :]]
+        costs += [problem.cost(*pose) for pose in candidates[len(costs) :]]
         if min(costs) > _MISFIT * known.sum():
             candidates += _ransac(problem, known)
-            costs += [goal.cost(*pose) for pose in candidates[len(costs) :]]
-    if depth is not None:
-        # Each of them once more, moved along its ray.
-        candidates += [(R, t * (depth.depth / max(t[2], _NEAREST))) for R, t in candidates]
-        costs += [goal.cost(*pose) for pose in candidates[len(costs) :]]
-    rotation, translation, cost, information = refine(goal, *candidates[int(np.argmin(costs))])
+            costs += [problem.cost(*pose) for pose in candidates[len(costs) :]]
+    rotation, translation, cost, information = refine(problem, *candidates[int(np.argmin(costs))])
     # Directions that the keypoints leave open are known to a radian and a metre.
     covariance = np.linalg.inv(information + np.eye(6))
     return PnpResult(make_transform(rotation, translation), covariance, float(cost))

@@ -89,10 +89,8 @@ class SingleViewEstimator:
 
 
 def solve_pnp(encoded: EncodedView, keypoints: np.ndarray) -> PnpResult:
-    """The pose that explains a view's votes for keypoints (9, 3), and the object's size in it."""
-    return uncertainty_pnp(
-        keypoints, encoded.pixels, encoded.pixel_covariance, encoded.view.K, encoded.depth
-    )
+    """The pose that explains a view's votes for keypoints (9, 3)."""
+    return uncertainty_pnp(keypoints, encoded.pixels, encoded.pixel_covariance, encoded.view.K)
 
 
 def first_view(views: Sequence[View]) -> View:

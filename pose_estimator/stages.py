@@ -16,7 +16,6 @@ from .geometry import make_transform
 from .losses import box_loss, direction_loss, heat_map_loss, mask_loss
 from .metrics import add_or_add_s
 from .networks import PoseNetworks, has_fast_bfloat16
-from .size_head import size_losses
 from .solvers import RigidMotions
 
 _Frame = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -134,7 +133,7 @@ class DetectorStage(StageBase):
 
 
 class FeatureStage(StageBase):
-    """Segmentation, vector fields and the apparent size on single crops."""
+    """Segmentation and vector fields on single crops."""
 
     name = "features"
 
@@ -154,38 +153,25 @@ class FeatureStage(StageBase):
         direction_part = direction_loss(
             out.directions.float(), tensors["directions"], (tensors["mask"] > 0.4).float()
         )
-        size_part, sure_part = size_losses(out.size, self.true_sizes(tensors))
-        total = mask_part + 2 * direction_part + 2 * size_part + 0.1 * sure_part
+        total = mask_part + 2 * direction_part
         return total, {
             "mask": mask_part,
             "direction": direction_part,
-            "size": size_part,
         }
-
-    def true_sizes(self, tensors: dict[str, Tensor]) -> Tensor:
-        """Logarithms (B,) of the apparent sizes over that which a crop is made for."""
-        diameters = torch.tensor([m.diameter for m in self.train.models], dtype=torch.float32)
-        focal = torch.linalg.det(tensors["K"][:, :2, :2]).abs().sqrt()
-        config = self.networks.features.config
-        pixels = focal * diameters[tensors["object"]] / tensors["T_cam_obj"][:, 2, 3]
-        return torch.log(pixels * config.roi_scale / config.crop)
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
-        """Distance of voted keypoints from the (nearest equivalent) truth in crop pixels, and the
-        error of the logarithm of the size."""
+        """Distance of voted keypoints from the (nearest equivalent) truth in crop pixels."""
         self.module.eval()
         rng = np.random.default_rng(1)
         stride = self.networks.features.config.stride
         errors: list[np.ndarray] = []
-        sizes: list[np.ndarray] = []
         for _ in range(10):
             samples = [self.held_out.draw_target(rng) for _ in range(32)]
             tensors = stack_targets(samples)
             with self.autocast():
                 out = self.module(tensors["crop"], tensors["object"])
             mean, _, _ = vote(out)
-            sizes.append((out.size[:, 0] - self.true_sizes(tensors)).abs().numpy())
             for sample, voted in zip(samples, mean.numpy(), strict=True):
                 model = self.held_out.models[sample.object_index]
                 distances = []
@@ -199,5 +185,4 @@ class FeatureStage(StageBase):
         return {
             "vote_error_px": float(np.median(flat)),
             "vote_error_p80": float(np.quantile(flat, 0.8)),
-            "size_error": float(np.median(np.concatenate(sizes))),
         }

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from .dataset import TargetSample, batches, stack_targets
-from .depth_prior import DepthPrior
-from .frontend import depth_priors, vote
+from .frontend import vote
 from .geometry import grid_matrix, make_transform
 from .lifting import KeypointPrior, ViewMaps
 from .losses import distribution_loss, keypoint_loss, pose_loss
@@ -108,13 +107,7 @@ class VolumeStage(StageBase):
         if any(pose_noise):
             T_second_ref = np.stack([perturb(T, *pose_noise, rng) for T in T_second_ref])
         diameter = self.diameters[index]
-        depths = depth_priors(
-            out.size,
-            tensors["K"],
-            self.diameters[tensors["object"]].tolist(),
-            networks.features.config,
-        )
-        prior = self._prior(mean, covariance, depths, K, T_second_ref, T_true, index, rng)
+        prior = self._prior(mean, covariance, K, T_second_ref, T_true, index, rng)
         guess, centre = prior.mean[:, -1], truth[:, -1]
         lost = (guess - centre).norm(dim=-1) > _FARTHEST_GUESS * diameter
         near = torch.from_numpy(rng.normal(0, 0.1, (count, 3))).float() * diameter[:, None]
@@ -137,14 +130,13 @@ class VolumeStage(StageBase):
         self,
         mean: Tensor,
         covariance: Tensor,
-        depths: list[DepthPrior],
         K: Tensor,
         T_second_ref: np.ndarray,
         T_true: Tensor,
         index: Tensor,
         rng: np.random.Generator,
     ) -> KeypointPrior:
-        """The keypoints of the poses that explain votes and sizes, sought from near the truth."""
+        """The keypoints of the poses that explain the votes, sought from near the truth."""
         models = [self.train.models[number] for number in index.tolist()]
         poses = []
         for sample, model in enumerate(models):
@@ -161,7 +153,6 @@ class VolumeStage(StageBase):
                     list(K[sample].double().numpy()),
                     [np.eye(4), T_second_ref[sample]],
                     [start],
-                    depths[2 * sample : 2 * sample + 2],
                 )
             )
         return KeypointPrior.from_poses(poses, [model.keypoints for model in models])

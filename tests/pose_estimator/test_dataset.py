@@ -60,7 +60,7 @@ def test_directions_vote_for_the_keypoints_of_the_pose(training, boxes):
     samples = [training.draw_target(rng) for _ in range(6)]
     tensors = stack_targets(samples)
     mean, _, score = vote(
-        Features2D(10 * (2 * tensors["mask"] - 1), tensors["directions"], *torch.zeros(3))
+        Features2D(10 * (2 * tensors["mask"] - 1), tensors["directions"], *torch.zeros(2))
     )
     models = list(boxes.values())
     for sample, found in zip(samples, mean.numpy(), strict=True):

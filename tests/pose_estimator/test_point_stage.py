@@ -33,7 +33,6 @@ class MaskFromColour(nn.Module):
             directions=crops.new_zeros(len(crops), 9, 2, 32, 32),
             volume=crops.new_zeros(len(crops), 32, 32, 32),
             decoder=crops.new_zeros(len(crops), 64, 32, 32),
-            size=crops.new_zeros(len(crops), 2),
         )
 
 

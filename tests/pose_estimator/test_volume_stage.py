@@ -139,7 +139,6 @@ def test_the_joint_pose_explains_the_votes(stage, pairs):
     prior = stage._prior(
         torch.from_numpy(means),
         torch.eye(2).expand(len(pairs), 2, 9, 2, 2) * 0.1,
-        [],
         torch.from_numpy(K),
         T,
         out["T_true"],
