@@ -44,8 +44,8 @@ class EstimateConfig:
     depth: Path | None = None
     """Depth map of the reference photograph for `rgbd`, aligned with it: a 16-bit PNG or TIFF, or a
     .npy; 0 where the sensor saw nothing."""
-    depth_unit: float = 0.001
-    """Metres that one step of the depth map means."""
+    depth_unit: float | None = None
+    """Metres that one step of the depth map means; none = 0.001 for whole numbers, 1 for others."""
     weights: str = "linemod"
     """Name of shipped weights, or a file."""
     out: Path = Path("pose.json")

@@ -59,18 +59,23 @@ def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray
     return matrix
 
 
-def read_depth_map(path: Path, unit: float) -> np.ndarray:
+_NEAREST, _FARTHEST = 0.05, 30.0
+"""Metres between which the median of a depth map is to be: else its unit is wrong."""
+
+
+def read_depth_map(path: Path, unit: float | None = None) -> np.ndarray:
     """Reads a depth map in metres, float32 (H, W), 0 where nothing was seen.
 
     Args:
         path: a 16-bit grey PNG or TIFF, or a .npy.
-        unit: metres that a step of the file means.
+        unit: metres that a step of the file means; none = millimetres for whole numbers and metres
+            for others.
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: if it holds no map, or ``unit`` is not positive.
+        ValueError: if it holds no map, or the unit cannot be right.
     """
-    if not 0 < unit < float("inf"):
+    if unit is not None and not 0 < unit < float("inf"):
         raise ValueError(f"depth_unit must be positive metres a step, got {unit}")
     try:
         if path.suffix == ".npy":
@@ -78,11 +83,22 @@ def read_depth_map(path: Path, unit: float) -> np.ndarray:
         else:
             with Image.open(path) as picture:
                 steps = np.asarray(picture)
-    except (UnidentifiedImageError, ValueError) as error:
+    except FileNotFoundError:
+        raise
+    except (OSError, EOFError, ValueError) as error:
         raise ValueError(f"depth {path} is neither a picture file nor a .npy array") from error
     if steps.ndim != 2 or steps.dtype.kind not in "uif" or steps.dtype == np.uint8:
         raise ValueError(
             f"depth {path} must be one channel of 16 bits or more (or a .npy of numbers), got "
             f"{steps.dtype} of shape {steps.shape}"
         )
-    return (steps * unit).astype(np.float32)
+    if unit is None:
+        unit = 1.0 if steps.dtype.kind == "f" else 0.001
+    depth = (steps.astype(np.float64) * unit).astype(np.float32)
+    seen = depth[np.isfinite(depth) & (depth > 0)]
+    if seen.size and not _NEAREST < float(np.median(seen)) < _FARTHEST:
+        raise ValueError(
+            f"depth {path} has a median of {np.median(seen):.4g} m, which cannot be: "
+            f"what is a step of it? depth_unit is {unit:g} m"
+        )
+    return depth

@@ -64,16 +64,13 @@ def correct_poses(
         models: the objects.
     """
     correct = []
-    rotations, translations = motions.rotation.double(), motions.translation.double()
+    rotations, translations = (part.double().numpy() for part in motions)
     for R, t, number, T in zip(
-        rotations.numpy(),
-        translations.numpy(),
-        index.tolist(),
-        T_true.double().numpy(),
-        strict=True,
+        rotations, translations, index.tolist(), T_true.double().numpy(), strict=True
     ):
         model = models[number]
-        error = add_or_add_s(make_transform(R, t), T, model)
+        found = np.isfinite(R).all() and np.isfinite(t).all()
+        error = add_or_add_s(make_transform(R, t), T, model) if found else np.inf
         correct.append(bool(error < 0.1 * model.diameter))
     return correct
 

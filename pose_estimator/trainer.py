@@ -161,11 +161,19 @@ def _resume(stage: Stage, optimizer: HybridOptimizer, path: Path) -> int:
 
 
 def restore_model(module: nn.Module, path: Path) -> dict[str, Tensor]:
-    """Loads a checkpoint's parameters into a stage's module; returns all that the file holds."""
+    """Loads a checkpoint's parameters into a stage's module; returns all that the file holds.
+
+    Raises:
+        ValueError: if it is of networks of another shape.
+    """
     tensors = load_file(path)
-    module.load_state_dict(
-        {n.removeprefix("model."): t for n, t in tensors.items() if n.startswith("model.")}
-    )
+    state = {n.removeprefix("model."): t for n, t in tensors.items() if n.startswith("model.")}
+    try:
+        module.load_state_dict(state)
+    except RuntimeError as error:
+        raise ValueError(
+            f"checkpoint {path} is of networks of another shape; give another --out, or delete it"
+        ) from error
     return tensors
 
 

@@ -16,17 +16,22 @@ from .geometry import grid_matrix, make_transform
 from .lifting import KeypointPrior, ViewMaps
 from .losses import distribution_loss, keypoint_loss, pose_loss
 from .multi_view_pnp import multi_view_pnp
-from .solvers import RigidMotions, solve
+from .pnp import uncertainty_pnp
+from .solvers import RigidMotions, solve, solve_pose
 from .stages import StageBase, correct_poses
 from .symmetry import keypoint_permutations
+from .triangulation import triangulate
 from .volume import LevelOutput
 
 _Pair = tuple[TargetSample, TargetSample, np.ndarray]
 
 _START_TURN = 0.15
 _START_SHIFT = 0.1
-"""Standard deviation, in radians and diameters along each axis, of the poses from which the joint
-pose is sought in training, where no first estimate is at hand."""
+"""Standard deviation, in radians and diameters along each axis, of the poses near the truth from
+which the joint pose is sought in most of the training."""
+
+_AS_IN_USE = 0.3
+"""Share of the training in which it is sought from the votes alone, as in use, and may be wrong."""
 
 _FARTHEST_GUESS = 0.6
 """Distance in diameters from the truth up to which a joint pose's centre is trained on."""
@@ -81,6 +86,7 @@ class VolumeStage(StageBase):
         batch: list[_Pair],
         rng: np.random.Generator,
         pose_noise: tuple[float, float] = (0.0, 0.0),
+        as_in_use: float = 0.0,
     ) -> dict[str, Any]:
         """Runs a batch of pairs; what the volume is told of the pose comes from the votes.
 
@@ -88,6 +94,7 @@ class VolumeStage(StageBase):
             batch: the pairs.
             rng: of where the joint pose is sought from, and of the noise.
             pose_noise: of the relative pose that the volume is told.
+            as_in_use: share of the pairs for which that pose is sought without knowing the truth.
         """
         networks = self.networks
         networks.features.eval()
@@ -107,11 +114,14 @@ class VolumeStage(StageBase):
         if any(pose_noise):
             T_second_ref = np.stack([perturb(T, *pose_noise, rng) for T in T_second_ref])
         diameter = self.diameters[index]
-        prior = self._prior(mean, covariance, K, T_second_ref, T_true, index, rng)
-        guess, centre = prior.mean[:, -1], truth[:, -1]
-        lost = (guess - centre).norm(dim=-1) > _FARTHEST_GUESS * diameter
-        near = torch.from_numpy(rng.normal(0, 0.1, (count, 3))).float() * diameter[:, None]
-        guess = torch.where(lost[:, None], centre + near, guess)
+        prior = self._prior(mean, covariance, K, T_second_ref, T_true, index, rng, as_in_use)
+        guess = prior.mean[:, -1]
+        if as_in_use < 1:
+            # A volume beside the object has nothing to learn.
+            centre = truth[:, -1]
+            lost = (guess - centre).norm(dim=-1) > _FARTHEST_GUESS * diameter
+            near = torch.from_numpy(rng.normal(0, 0.1, (count, 3))).float() * diameter[:, None]
+            guess = torch.where(lost[:, None], centre + near, guess)
         side = out.volume.shape[-1]
         maps = ViewMaps(
             features=out.volume.reshape(count, 2, -1, side, side),
@@ -135,25 +145,26 @@ class VolumeStage(StageBase):
         T_true: Tensor,
         index: Tensor,
         rng: np.random.Generator,
+        as_in_use: float,
     ) -> KeypointPrior:
-        """The keypoints of the poses that explain the votes, sought from near the truth."""
+        """The keypoints of the poses that explain the votes."""
         models = [self.train.models[number] for number in index.tolist()]
         poses = []
         for sample, model in enumerate(models):
-            start = T_true[sample].double().numpy().copy()
-            start[:3, :3] = (
-                Rotation.from_rotvec(rng.normal(0, _START_TURN, 3)).as_matrix() @ (start[:3, :3])
+            means, covariances, Ks = (
+                part[sample].double().numpy() for part in (mean, covariance, K)
             )
-            start[:3, 3] += rng.normal(0, _START_SHIFT * model.diameter, 3)
+            cameras = [np.eye(4), T_second_ref[sample]]
+            if rng.random() < as_in_use:
+                points, _ = triangulate(means, covariances, list(Ks), cameras)
+                starts = [
+                    uncertainty_pnp(model.keypoints, means[0], covariances[0], Ks[0]).T_cam_obj,
+                    solve_pose(model.keypoints, points, model.diameter),
+                ]
+            else:
+                starts = [_near(T_true[sample].double().numpy(), model.diameter, rng)]
             poses.append(
-                multi_view_pnp(
-                    model.keypoints,
-                    mean[sample].double().numpy(),
-                    covariance[sample].double().numpy(),
-                    list(K[sample].double().numpy()),
-                    [np.eye(4), T_second_ref[sample]],
-                    [start],
-                )
+                multi_view_pnp(model.keypoints, means, covariances, list(Ks), cameras, starts)
             )
         return KeypointPrior.from_poses(poses, [model.keypoints for model in models])
 
@@ -186,7 +197,7 @@ class VolumeStage(StageBase):
         rng = np.random.default_rng(
             [self.seed, *np.round(batch[0][2][:3, 3] * 1e6).astype(int) % 2**31]
         )
-        out = self.forward(batch, rng, self.pose_noise)
+        out = self.forward(batch, rng, self.pose_noise, _AS_IN_USE)
         total = torch.zeros(())
         numbers: dict[str, Tensor] = {}
         for level, name in zip(out["levels"], ("coarse", "fine"), strict=True):
@@ -211,7 +222,7 @@ class VolumeStage(StageBase):
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
-        """3D keypoint distance over the diameter, and ADD(-S) recall, guess with noise."""
+        """3D keypoint distance over the diameter, and ADD(-S) recall; all is found as in use."""
         self.networks.volume.eval()
         rng = np.random.default_rng(1)
         errors: list[np.ndarray] = []
@@ -220,7 +231,7 @@ class VolumeStage(StageBase):
         rounds, size = (16, 16) if self.networks.volume.config.fine.cells else (24, 2)
         for _ in range(rounds):
             batch = [self.held_out.draw_pair(rng) for _ in range(size)]
-            out = self.forward(batch, rng)
+            out = self.forward(batch, rng, as_in_use=1.0)
             solution = self.solve(out["levels"][-1], out)
             distance = (out["levels"][-1].keypoints - out["truth"]).norm(dim=-1).mean(1)
             errors.append((distance / out["diameter"]).numpy())
@@ -243,6 +254,12 @@ def perturb(
     axis, direction = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
     turn = Rotation.from_rotvec(axis * np.radians(rng.uniform(0, degrees))).as_matrix()
     return make_transform(turn, direction * rng.uniform(0, metres)) @ T_second_ref
+
+
+def _near(T: np.ndarray, diameter: float, rng: np.random.Generator) -> np.ndarray:
+    """A pose (4, 4) somewhat off another."""
+    turn = Rotation.from_rotvec(rng.normal(0, _START_TURN, 3)).as_matrix()
+    return make_transform(turn @ T[:3, :3], T[:3, 3] + rng.normal(0, _START_SHIFT * diameter, 3))
 
 
 def _projections(K: Tensor, T_second_ref: np.ndarray) -> Tensor:

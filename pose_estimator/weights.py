@@ -78,7 +78,10 @@ def read_header(path: str | Path) -> dict[str, Any]:
     try:
         header = json.loads(path.read_text())
         if header["format"] != FORMAT:
-            raise ValueError(f"format {header['format']}, this version reads {FORMAT}")
+            raise ValueError(
+                f"it has format {header['format']} and this version reads {FORMAT}; train "
+                "anew with train-estimator, or use the version that made it"
+            )
         return header
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"weights header {path} cannot be read: {error}") from error
@@ -177,8 +180,8 @@ def stored_state(networks: PoseNetworks) -> dict[str, Tensor]:
 
 
 def _trained_parts(header: dict[str, Any]) -> frozenset[str]:
-    """What a header says was trained; the first weights did not say, and had three parts."""
-    trained = header.get("trained", [part for part in PARTS if part not in OPTIONAL_PARTS])
+    """What a header says was trained."""
+    trained = header["trained"]
     unknown = [part for part in trained if part not in PARTS]
     if unknown:
         raise ValueError(

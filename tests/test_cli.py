@@ -130,9 +130,9 @@ def small_image(inputs):
     return inputs.folder / "small.png"
 
 
-def depth_map(inputs, shape=(480, 640), suffix=".png"):
-    """A depth map of 0.9 m everywhere but in a corner, in millimetres."""
-    depth = np.full(shape, 900, np.uint16)
+def depth_map(inputs, shape=(480, 640), suffix=".png", kind=np.uint16):
+    """A depth map of 0.9 m everywhere but in a corner: whole millimetres, or metres."""
+    depth = np.full(shape, 0.9 if kind == np.float32 else 900, kind)
     depth[:10, :10] = 0
     path = inputs.folder / f"depth{suffix}"
     if suffix == ".npy":
@@ -178,6 +178,14 @@ WRONG = {
     "depth of another size": (
         dict(method=lambda i: "rgbd", depth=lambda i: depth_map(i, (240, 320))),
         "depth must have the picture",
+    ),
+    "depth in metres told as millimetres": (
+        {
+            "method": lambda i: "rgbd",
+            "depth": lambda i: depth_map(i),
+            "depth-unit": lambda i: 1.0,
+        },
+        "has a median of 900 m, which cannot be",
     ),
     "depth in no unit": (
         {"method": lambda i: "rgbd", "depth": lambda i: depth_map(i), "depth-unit": lambda i: 0},
@@ -262,12 +270,15 @@ def test_estimate_from_one_photograph(inputs, monkeypatch):
     np.testing.assert_allclose(view.K, LINEMOD_K)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".tif", ".npy"])
-def test_estimate_from_a_photograph_with_depth(inputs, monkeypatch, suffix):
+@pytest.mark.parametrize(
+    ("suffix", "kind"),
+    [(".png", np.uint16), (".tif", np.uint16), (".npy", np.uint16), (".npy", np.float32)],
+)
+def test_estimate_from_a_photograph_with_depth(inputs, monkeypatch, suffix, kind):
     estimator = KnownPose(np.eye(4))
     monkeypatch.setattr(pose_estimator, "load", lambda method, weights: estimator)
     options = {"second": None, "relative-pose": None, "method": "rgbd"}
-    options["depth"] = depth_map(inputs, suffix=suffix)
+    options["depth"] = depth_map(inputs, suffix=suffix, kind=kind)
     assert main(command(inputs.options | options)) == 0
     (view,) = estimator.views
     assert view.depth.shape == (480, 640) and view.depth[0, 0] == 0

@@ -126,15 +126,6 @@ def test_optional_parts_are_written_once_they_are_trained(
                 assert torch.allclose(tensor, theirs[name].float(), rtol=2**-10, atol=1e-6), name
 
 
-def test_the_first_weights_did_not_say_what_was_trained(damaged: Path):
-    header = read_header(damaged)
-    del header["trained"]
-    damaged.with_suffix(".json").write_text(json.dumps(header))
-    assert read_networks(damaged).trained == {"detector", "features", "volume"}
-    with pytest.raises(ValueError, match="lack what 'early' needs"):
-        pose_estimator.load("early", damaged)
-
-
 def test_a_part_that_should_be_there_is_missed(damaged: Path):
     change_header(damaged, trained=["detector", "features", "cascade"])
     with pytest.raises(ValueError, match=r"does not fit its header: cascade\."):
