@@ -23,8 +23,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from .decoder import ConvBlock
 from .encoder import PYRAMID_CHANNELS
-from .features import ConvBlock
 from .geometry import grid_matrix
 from .plane_sweep import group_correlation, sweep
 

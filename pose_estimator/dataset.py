@@ -185,9 +185,9 @@ class TrainingSet:
             depth=depth,
         )
 
-    def draw_target(self, rng: np.random.Generator) -> TargetSample:
-        """A random target; each object is equally likely."""
-        index = rng.choice(self.known)
+    def draw_target(self, rng: np.random.Generator, index: int | None = None) -> TargetSample:
+        """A random target of an object; without ``index`` each object is equally likely."""
+        index = rng.choice(self.known) if index is None else index
         return self.target(int(rng.choice(self.by_object[index], p=self._weights[index])), rng)
 
     def draw_pair(self, rng: np.random.Generator) -> tuple[TargetSample, TargetSample, np.ndarray]:

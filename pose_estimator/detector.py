@@ -15,9 +15,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from .decoder import ConvBlock
 from .encoder import Encoder
 from .estimate import Roi
-from .features import ConvBlock
 
 
 @dataclass(frozen=True)

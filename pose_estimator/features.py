@@ -2,21 +2,22 @@
 
 A multi-scale CNN gives, for the object that is asked for, its segmentation and, at each pixel, unit
 vectors towards its nine keypoints (Peng et al., "PVNet", CVPR 2019), and the feature map that
-Mid-Fusion lifts into its volume. One network serves all objects: the object's embedding modulates
-the decoder (FiLM, Perez et al., AAAI 2018), and the last layer has weights of each object's own, of
-which only those of the asked object are computed.
+Mid-Fusion lifts into its volume. One encoder serves all objects; the decoder is shared or each
+object's own, and the last layer has weights of each object's own. Only those of the asked object
+are computed.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
 
+from .decoder import Decoder
 from .encoder import Encoder
 
 KEYPOINTS = 9
@@ -32,6 +33,7 @@ class FeatureConfig:
         roi_scale: side of the region of interest in object diameters.
         width: channels of the decoder at the output resolution.
         volume_channels: channels of the map that Mid-Fusion lifts.
+        own_decoders: whether each object has a decoder of its own.
     """
 
     crop: int = 128
@@ -39,6 +41,7 @@ class FeatureConfig:
     roi_scale: float = 1.4
     width: int = 64
     volume_channels: int = 32
+    own_decoders: bool = False
 
     @property
     def grid(self) -> int:
@@ -63,51 +66,6 @@ class Features2D(NamedTuple):
     decoder: Tensor
 
 
-class ConvBlock(nn.Sequential):
-    """3x3 convolution, batch norm, ReLU."""
-
-    def __init__(self, inputs: int, outputs: int):
-        super().__init__(
-            nn.Conv2d(inputs, outputs, 3, padding=1, bias=False),
-            nn.BatchNorm2d(outputs),
-            nn.ReLU(inplace=True),
-        )
-
-
-class CoordinateConv(nn.Module):
-    """A 1x1 convolution of the pixels' coordinates, to be added to a feature map.
-
-    Liu et al., "An intriguing failing of convolutional neural networks and the CoordConv solution",
-    NeurIPS 2018: a vector towards a keypoint depends on where the pixel is, which convolutions do
-    not see.
-    """
-
-    def __init__(self, outputs: int):
-        super().__init__()
-        self.project = nn.Conv2d(2, outputs, 1, bias=False)
-        nn.init.zeros_(self.project.weight)
-
-    def forward(self, x: Tensor) -> Tensor:
-        height, width = x.shape[2:]
-        rows, columns = torch.linspace(-1, 1, height), torch.linspace(-1, 1, width)
-        grid = torch.stack(torch.meshgrid(columns, rows, indexing="xy"))
-        return x + self.project(grid[None]).to(x.dtype)
-
-
-class Refinement(nn.Module):
-    """A residual block that starts as the identity."""
-
-    def __init__(self, channels: int):
-        super().__init__()
-        self.block = ConvBlock(channels, channels)
-        self.output = nn.Conv2d(channels, channels, 1)
-        for parameter in self.output.parameters():
-            nn.init.zeros_(parameter)
-
-    def forward(self, x: Tensor) -> Tensor:
-        return x + self.output(self.block(x))
-
-
 class KeypointNet(nn.Module):
     """The shared 2D network.
 
@@ -121,26 +79,44 @@ class KeypointNet(nn.Module):
         self.config = config
         width = config.width
         self.encoder = Encoder(6)
-        c4, c8, c16, c32 = self.encoder.channels
+        self.objects = objects
+        self.decoders = nn.ModuleList(
+            Decoder(self.encoder.channels, width, config.volume_channels)
+            for _ in range(objects if config.own_decoders else 1)
+        )
         self.embedding = nn.Embedding(objects, 64)
-        self.bottleneck = ConvBlock(c32, 128)
-        self.up16 = ConvBlock(128 + c16, 128)
-        self.up8 = ConvBlock(128 + c8, 96)
-        self.up4 = ConvBlock(96 + c4, width)
-        self.film16 = nn.Linear(64, 2 * 128)
+        self.film16 = nn.Linear(64, 2 * Decoder.WIDTH16)
         self.film4 = nn.Linear(64, 2 * width)
         for film in (self.film16, self.film4):
             nn.init.zeros_(film.weight)
             nn.init.zeros_(film.bias)
-        self.trunk = ConvBlock(width, width)
-        self.coordinates8 = CoordinateConv(96)
-        self.coordinates4 = CoordinateConv(width)
-        self.refine8 = Refinement(96)
-        self.refine4 = Refinement(width)
-        self.volume_head = nn.Conv2d(width, config.volume_channels, 1)
         outputs = 1 + 2 * KEYPOINTS
         self.head_weight = nn.Parameter(torch.randn(objects, outputs, width) * width**-0.5)
         self.head_bias = nn.Parameter(torch.zeros(objects, outputs))
+
+    @property
+    def volume_heads(self) -> nn.ModuleList:
+        """The layers that make the map to lift, one for each decoder."""
+        return nn.ModuleList(decoder.volume_head for decoder in self.decoders)  # type: ignore[misc]
+
+    def split_decoders(self) -> None:
+        """Gives each object a copy of the shared decoder; where each has its own, nothing."""
+        if not self.config.own_decoders:
+            shared = self.decoders[0]
+            self.decoders = nn.ModuleList(copy.deepcopy(shared) for _ in range(self.objects))
+            self.config = replace(self.config, own_decoders=True)
+
+    def share_decoders(self) -> None:
+        """Makes one decoder of all, the mean of them, which they once were copies of."""
+        if self.config.own_decoders:
+            shared = copy.deepcopy(self.decoders[0])
+            state = shared.state_dict()
+            for name in state:
+                each = torch.stack([d.state_dict()[name].double() for d in self.decoders])
+                state[name] = each.mean(0).to(state[name].dtype)
+            shared.load_state_dict(state)
+            self.decoders = nn.ModuleList([shared])
+            self.config = replace(self.config, own_decoders=False)
 
     def forward(self, crops: Tensor, objects: Tensor) -> Features2D:
         """Features of crops.
@@ -156,15 +132,10 @@ class KeypointNet(nn.Module):
 
     def decode(self, pyramid: Sequence[Tensor], objects: Tensor) -> Features2D:
         """Features from the encoder's maps at strides 2 to 32; see :meth:`forward`."""
-        _, f4, f8, f16, f32 = pyramid
         embedding = self.embedding(objects)
-        x = self.up16(torch.cat([_twice(self.bottleneck(f32)), f16], 1))
-        x = _modulate(x, self.film16(embedding))
-        x = self.up8(torch.cat([_twice(x), f8], 1))
-        x = self.refine8(self.coordinates8(x))
-        x = self.up4(torch.cat([_twice(x), f4], 1))
-        x = self.trunk(self.coordinates4(_modulate(x, self.film4(embedding))))
-        x = self.refine4(x)
+        x, volume = self._decode_each(
+            pyramid[1:], self.film16(embedding), self.film4(embedding), objects
+        )
         batch, width, height, breadth = x.shape
         maps = torch.baddbmm(
             self.head_bias[objects].to(x.dtype).unsqueeze(2),
@@ -174,15 +145,25 @@ class KeypointNet(nn.Module):
         return Features2D(
             mask_logits=maps[:, 0],
             directions=maps[:, 1:].reshape(batch, KEYPOINTS, 2, height, breadth),
-            volume=self.volume_head(x),
+            volume=volume,
             decoder=x,
         )
 
-
-def _twice(x: Tensor) -> Tensor:
-    return F.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
-
-
-def _modulate(x: Tensor, film: Tensor) -> Tensor:
-    scale, shift = film.to(x.dtype)[:, :, None, None].chunk(2, 1)
-    return x * (1 + scale) + shift
+    def _decode_each(
+        self, pyramid: Sequence[Tensor], film16: Tensor, film4: Tensor, objects: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Each crop through the decoder of its object; see :meth:`Decoder.forward`."""
+        if not self.config.own_decoders:
+            return self.decoders[0](pyramid, film16, film4)
+        asked = objects.unique().tolist()
+        if len(asked) == 1:
+            return self.decoders[asked[0]](pyramid, film16, film4)
+        parts, rows = [], []
+        for number in asked:
+            row = (objects == number).nonzero()[:, 0]
+            maps = [level[row] for level in pyramid]
+            parts.append(self.decoders[number](maps, film16[row], film4[row]))
+            rows.append(row)
+        back = torch.cat(rows).argsort()
+        x, volume = (torch.cat(part)[back] for part in zip(*parts, strict=True))
+        return x, volume

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -51,7 +51,7 @@ class PoseNetworks(nn.Module):
         if config.preset not in PRESETS:
             raise ValueError(f"unknown preset {config.preset!r}; there are {', '.join(PRESETS)}")
         self.objects = dict(objects)
-        self.config = config
+        self._config = config
         self.index = {name: number for number, name in enumerate(objects)}
         self.trained: frozenset[str] = frozenset()
         self.detector = Detector(len(objects), config.detector)
@@ -62,6 +62,11 @@ class PoseNetworks(nn.Module):
         self.detector.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.features.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.volume.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
+
+    @property
+    def config(self) -> NetworkConfig:
+        """Shapes of all networks as they are now."""
+        return replace(self._config, features=self.features.config)
 
 
 def has_fast_bfloat16() -> bool:

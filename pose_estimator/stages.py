@@ -1,8 +1,9 @@
-"""What stages of a training share, and the two on single pictures: detector and 2D features."""
+"""What stages of a training share, and those on single pictures: detector and 2D features."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -130,9 +131,13 @@ class DetectorStage(StageBase):
 
 
 class FeatureStage(StageBase):
-    """Segmentation and vector fields on single crops."""
+    """Segmentation and vector fields on single crops, by one decoder for all objects."""
 
     name = "features"
+
+    def __init__(self, *args: Any, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        self.networks.features.share_decoders()
 
     @property
     def module(self) -> torch.nn.Module:
@@ -183,3 +188,25 @@ class FeatureStage(StageBase):
             "vote_error_px": float(np.median(flat)),
             "vote_error_p80": float(np.quantile(flat, 0.8)),
         }
+
+
+class DecoderStage(FeatureStage):
+    """A decoder for each object, each on its own crops; the encoder stays as it is."""
+
+    name = "decoders"
+
+    def __init__(self, *args: Any, **kwargs: Any):
+        StageBase.__init__(self, *args, **kwargs)
+        features = self.networks.features
+        features.split_decoders()
+        for part in (features.encoder, features.embedding, features.film16, features.film4):
+            part.requires_grad_(False)
+
+    def batches(self, start: int) -> Iterator[list[TargetSample]]:
+        """Batches of one object each: a batch norm must not see others."""
+
+        def draw(rng: np.random.Generator) -> list[TargetSample]:
+            index = int(rng.choice(self.train.known))
+            return [self.train.draw_target(rng, index) for _ in range(self.batch)]
+
+        return (batch for (batch,) in batches(draw, 1, self.seed, start))

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .parts import PARTS
+from .parts import PARTS, STAGES
 from .training_config import TrainEstimatorConfig
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
     train, held_out = open_data(config, networks)
     config.out.mkdir(parents=True, exist_ok=True)
     log = TrainingLog(config.out / "log.jsonl")
-    done = [name for name in PARTS if train_stage(config, name, networks, train, held_out, log)]
+    done = [name for name in STAGES if train_stage(config, name, networks, train, held_out, log)]
     path = config.out / "weights.safetensors"
     save_weights(networks, path, header(config, networks, done, log.held_out))
     if config.json is not None:
@@ -89,8 +89,10 @@ def start_from(config: TrainEstimatorConfig, networks: PoseNetworks) -> None:
         part
         for part in ("detector", "features")
         if part in transfer.incomplete
-        and part not in config.stages
-        and not (config.out / f"{part}.safetensors").is_file()
+        and not any(
+            stage in config.stages or (config.out / f"{stage}.safetensors").is_file()
+            for stage in ((part, "decoders") if part == "features" else (part,))
+        )
     ]
     if missing:
         raise ValueError(
@@ -191,20 +193,23 @@ def train_stage(
         run_stage(stage, loop, log)  # type: ignore[arg-type]
     else:
         restore_model(stage.module, checkpoint)  # type: ignore[attr-defined]
+    # Parts that were trained on other features are of no use with these; the cascade reads the
+    # encoder alone.
     if name == "features":
-        # Parts that were trained on other features are of no use with these.
         networks.trained -= {"volume", "cascade", "points"}
-    networks.trained |= {name}
+    elif name == "decoders":
+        networks.trained -= {"volume", "points"}
+    networks.trained |= {"features" if name == "decoders" else name}
     return True
 
 
 def _stage_class(name: str) -> type[StageBase]:
     from .depth_stage import CascadeStage
     from .point_stage import PointStage
-    from .stages import DetectorStage, FeatureStage
+    from .stages import DecoderStage, DetectorStage, FeatureStage
     from .volume_stage import VolumeStage
 
-    classes = (DetectorStage, FeatureStage, VolumeStage, CascadeStage, PointStage)
+    classes = (DetectorStage, FeatureStage, DecoderStage, VolumeStage, CascadeStage, PointStage)
     return {stage.name: stage for stage in classes}[name]
 
 

@@ -6,11 +6,12 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from .parts import PARTS
+from .parts import STAGES
 
 _STAGES = {
     "detector": (16, 1e-3),
     "features": (32, 1e-3),
+    "decoders": (32, 1e-3),
     "volume": (12, 2e-3),
     "cascade": (8, 2e-3),
     "points": (32, 2e-3),
@@ -40,11 +41,11 @@ class StageSettings:
 class TrainEstimatorConfig:
     """Trains the networks of the estimators on a BOP dataset that `generate` made.
 
-    Three stages follow each other: detector, 2D features, volume (of `mid`). Two more build on the
-    2D features and need a dataset that was generated with --depth: cascade (of `early`) and points
-    (of `rgbd`); with --init they are added to finished weights. Each stage writes checkpoints into
-    --out; the same command continues where a killed run stopped. On two cores the default takes
-    about two hours.
+    Four stages follow each other: detector, 2D features with one decoder for all objects, a
+    decoder for each object, volume (of `mid`). Two more build on the 2D features and need a dataset
+    that was generated with --depth: cascade (of `early`) and points (of `rgbd`); with --init they
+    are added to finished weights. Each stage writes checkpoints into --out; the same command
+    continues where a killed run stopped. On two cores the default takes about three hours.
     """
 
     data: Path
@@ -55,12 +56,15 @@ class TrainEstimatorConfig:
     """Objects to train, by name or path of a mesh; none = the 13 of LineMOD."""
     split: str = "train_pbr"
     """Folder of the dataset that holds the scenes."""
-    stages: tuple[str, ...] = ("detector", "features", "volume")
-    """Which stages to run: detector, features, volume, cascade, points. They run in this order."""
+    stages: tuple[str, ...] = ("detector", "features", "decoders", "volume")
+    """Which stages to run: detector, features, decoders, volume, cascade, points. They run in this
+    order."""
     detector_steps: int = 1200
     """Batches of 16 frames."""
     feature_steps: int = 10000
     """Batches of 32 crops."""
+    decoder_steps: int = 13000
+    """Batches of 32 crops of one object each."""
     volume_steps: int = 3000
     """Batches of 12 pairs of crops; of 2 with `--preset paper`."""
     cascade_steps: int = 4000
@@ -109,15 +113,15 @@ class TrainEstimatorConfig:
                 raise ValueError(f"{name} must be finite and at least 0, got {getattr(self, name)}")
         if not 0 <= self.cut_and_paste <= 1:
             raise ValueError(f"cut_and_paste must be 0 to 1, got {self.cut_and_paste}")
-        unknown = [stage for stage in self.stages if stage not in PARTS]
+        unknown = [stage for stage in self.stages if stage not in STAGES]
         if unknown:
-            raise ValueError(f"unknown stages {unknown}; there are {', '.join(PARTS)}")
+            raise ValueError(f"unknown stages {unknown}; there are {', '.join(STAGES)}")
 
     def stage(self, name: str) -> StageSettings:
         """How a stage is trained.
 
         Args:
-            name: one of ``PARTS``.
+            name: one of ``STAGES``.
         """
         batch, learning_rate = _STAGES[name]
         if name == "volume" and self.preset == "paper":
@@ -125,6 +129,7 @@ class TrainEstimatorConfig:
         steps = {
             "detector": self.detector_steps,
             "features": self.feature_steps,
+            "decoders": self.decoder_steps,
             "volume": self.volume_steps,
             "cascade": self.cascade_steps,
             "points": self.points_steps,

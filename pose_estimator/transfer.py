@@ -6,19 +6,25 @@ tensors, is copied for the objects that both know; for the others it starts anew
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from ..assets.object_model import ObjectModel
+from .detector import DetectorConfig
+from .features import FeatureConfig
 from .networks import PoseNetworks
 from .parts import PARTS
 
 _ROWS = ("embedding.weight", "head_weight", "head_bias")
 """Ends of the names of tensors with one row an object."""
+
+_OWN_DECODER = re.compile(r"features\.decoders\.(\d+)\.(.+)")
+"""Names of the tensors of one of the decoders."""
 
 _DETECTOR_HEAD = ("detector.head.weight", "detector.head.bias")
 """Tensors with one row an object, and then three (offset and size) for each."""
@@ -65,9 +71,13 @@ def take_over(source: PoseNetworks, networks: PoseNetworks) -> Transfer:
         ValueError: if the networks are of other shapes.
     """
     for part in ("detector", "features"):
-        wanted, given = (getattr(n.config, part) for n in (networks, source))
+        wanted, given = (_shape(getattr(n.config, part)) for n in (networks, source))
         if given != wanted:
             raise ValueError(f"the weights are of networks of another shape: {given}, not {wanted}")
+    if source.config.features.own_decoders:
+        networks.features.split_decoders()
+    else:
+        networks.features.share_decoders()
     rows = {
         networks.index[name]: source.index[name]
         for name in networks.objects
@@ -92,6 +102,14 @@ def take_over(source: PoseNetworks, networks: PoseNetworks) -> Transfer:
         axes = _object_rows(name, value, len(networks.objects))
         if axes is not None and new:
             incomplete.add(part)
+        decoder = _OWN_DECODER.match(name)
+        if decoder is not None and source.config.features.own_decoders:
+            number, rest = int(decoder[1]), decoder[2]
+            # A new object's decoder starts as the mean of those there are.
+            others = [rows[number]] if number in rows else range(len(source.objects))
+            each = [theirs[f"features.decoders.{other}.{rest}"] for other in others]
+            value.copy_(torch.stack(each).double().mean(0))
+            continue
         if name not in theirs or (axes is None and theirs[name].shape != value.shape):
             raise ValueError(f"the weights are of networks of another shape: {name} does not fit")
         if axes is None:
@@ -103,6 +121,11 @@ def take_over(source: PoseNetworks, networks: PoseNetworks) -> Transfer:
             value[axes[mine]] = theirs[name][their_axes[other]]
     networks.trained = frozenset(parts) - incomplete
     return Transfer(known, new, parts, tuple(p for p in parts if p in incomplete), left)
+
+
+def _shape(config: DetectorConfig | FeatureConfig) -> DetectorConfig | FeatureConfig:
+    """A configuration whatever the number of its decoders."""
+    return replace(config, own_decoders=False) if isinstance(config, FeatureConfig) else config
 
 
 def same_model(

@@ -69,10 +69,8 @@ class VolumeStage(StageBase):
         self.pose_noise = pose_noise
         self.pose_weight = pose_weight
         self.networks.features.requires_grad_(False)
-        self.networks.features.volume_head.requires_grad_(True)
-        self.module = torch.nn.ModuleDict(
-            {"volume": self.networks.volume, "head": self.networks.features.volume_head}
-        )
+        heads = self.networks.features.volume_heads.requires_grad_(True)
+        self.module = torch.nn.ModuleDict({"volume": self.networks.volume, "heads": heads})
         models = self.train.models
         self.keypoints = torch.from_numpy(np.stack([m.keypoints for m in models])).float()
         self.diameters = torch.tensor([m.diameter for m in models], dtype=torch.float32)
