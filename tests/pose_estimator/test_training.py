@@ -19,7 +19,7 @@ from two_view_pose.pose_estimator.dataset import TrainingSet
 from two_view_pose.pose_estimator.depth_stage import CascadeStage
 from two_view_pose.pose_estimator.networks import PoseNetworks
 from two_view_pose.pose_estimator.point_stage import PointStage
-from two_view_pose.pose_estimator.stages import DetectorStage, FeatureStage
+from two_view_pose.pose_estimator.stages import DecoderStage, DetectorStage, FeatureStage
 from two_view_pose.pose_estimator.training import _describe_data, train_estimator
 from two_view_pose.pose_estimator.training_config import TrainEstimatorConfig
 from two_view_pose.pose_estimator.volume_stage import VolumeStage
@@ -35,20 +35,25 @@ def test_all_stages_end_in_weights_that_load(
     dataset: Path, pack: CropPack, boxes, tmp_path: Path, monkeypatch
 ):
     monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
-    stages = {"detector": DetectorStage, "features": FeatureStage, "volume": VolumeStage}
+    stages = {
+        "detector": DetectorStage, "features": FeatureStage, "decoders": DecoderStage,
+        "volume": VolumeStage,
+    }  # fmt: skip
     for name, stage in stages.items():
         monkeypatch.setitem(training_config._STAGES, name, (2, 1e-3))
         monkeypatch.setattr(stage, "validate", lambda self: {"figure": 0.5})
     config = TrainEstimatorConfig(
-        data=dataset, out=tmp_path / "out", detector_steps=1, feature_steps=1, volume_steps=1,
-        pretrained=False, validation=0.3, threads=1, json=tmp_path / "figures.json",
+        data=dataset, out=tmp_path / "out", detector_steps=1, feature_steps=1, decoder_steps=1,
+        volume_steps=1, pretrained=False, validation=0.3, threads=1, json=tmp_path / "figures.json",
     )  # fmt: skip
     path = train_estimator(config)
     assert path == tmp_path / "out" / "weights.safetensors"
     assert read_header(path)["trained_on"]["dataset"] == dataset.name
     assert pose_estimator.load("mid", path).object_names == ("brick", "crate")
     records = json.loads((tmp_path / "figures.json").read_text())["records"]
-    assert {r["stage"] for r in records} == {"detector", "features", "volume"}
+    assert {r["stage"] for r in records} == set(stages)
+    assert read_header(path)["training"]["steps"] == dict.fromkeys(stages, 1)
+    assert pose_estimator.load("mid", path).networks.config.features.own_decoders
     again = path.read_bytes()
     train_estimator(config)  # finished: nothing is trained again
     assert path.read_bytes() == again

@@ -64,8 +64,28 @@ def test_a_new_object_keeps_its_own_start(three, boxes):
     assert networks.trained == {"volume"}
     assert torch.equal(networks.features.head_weight[1], row)
     assert torch.equal(networks.features.head_weight[0], three.features.head_weight[1])
-    assert torch.equal(networks.features.trunk[0].weight, three.features.trunk[0].weight)
+    ours, theirs = (n.features.decoders[0].trunk[0].weight for n in (networks, three))
+    assert torch.equal(ours, theirs)
     assert "new: crate in detector, features; known before: brick" in str(transfer)
+
+
+def test_own_decoders_go_with_their_objects(three, boxes):
+    torch.manual_seed(4)
+    three.features.split_decoders()
+    for number, decoder in enumerate(three.features.decoders):
+        torch.nn.init.constant_(decoder.trunk[0].weight, float(number))
+    names = list(three.objects)
+    other = replace(boxes["crate"], keypoints=boxes["crate"].keypoints + 0.01)
+    networks = PoseNetworks({"crate": other, "brick": boxes["brick"]})
+    transfer = take_over(three, networks)
+    assert networks.config.features.own_decoders and transfer.new == ("crate",)
+    assert "features" in transfer.incomplete
+    new, brick = (decoder.trunk[0].weight for decoder in networks.features.decoders)
+    assert torch.all(brick == names.index("brick"))
+    assert torch.all(new == 1.0)  # the mean of 0, 1 and 2
+    # And back to a shared decoder, if that is what the weights have.
+    take_over(PoseNetworks(boxes), networks)
+    assert not networks.config.features.own_decoders and len(networks.features.decoders) == 1
 
 
 def test_every_tensor_that_depends_on_the_objects_is_known(three, fresh):

@@ -61,7 +61,7 @@ def test_the_pose_loss_trains_the_features(stage, pairs):
     (features,) = lifted
     assert features.grad is not None and torch.isfinite(features.grad).all()
     assert (features.grad.abs().flatten(2).sum(-1) > 0).all()  # both views of both pairs
-    head = stage.networks.features.volume_head.weight
+    head = stage.networks.features.volume_heads[0].weight
     assert head.grad is not None
     # Along its own gradient the loss changes as fast as the gradient says.
     direction = head.grad / head.grad.norm()
