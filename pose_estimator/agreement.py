@@ -15,8 +15,7 @@ from ..assets.object_model import ObjectModel
 from .estimate import PoseEstimate
 from .frontend import EncodedView
 from .geometry import invert, project, transform
-from .multi_view_pnp import multi_view_pnp
-from .pnp import PnpResult
+from .multi_view_pnp import SpacePoints, multi_view_pnp
 from .solvers import solve_pose
 from .symmetry import keypoint_permutations
 from .triangulation import triangulate
@@ -71,8 +70,8 @@ def agree(
 
 def joint_pose(
     encoded: Sequence[EncodedView], points: np.ndarray, model: ObjectModel, first: PoseEstimate
-) -> PnpResult:
-    """The pose that explains the votes of all views, in the reference camera.
+) -> np.ndarray:
+    """The pose that explains the votes of all views, T_cam_obj (4, 4) in the reference camera.
 
     It is found from ``first`` and from the pose of the triangulated keypoints. Triangulation alone
     would not do: with a baseline of a few centimetres it is decimetres off.
@@ -83,15 +82,34 @@ def joint_pose(
         model: the object.
         first: the best pose so far, which is also the answer where no pose explains the votes.
     """
-    solution = multi_view_pnp(
+    starts = [first.T_cam_obj, solve_pose(model.keypoints, points, model.diameter)]
+    T = explain(encoded, model, starts)
+    centre = transform(T, model.keypoints[-1])
+    if not np.isfinite(centre).all() or not 0.1 < centre[2] < 10:
+        return first.T_cam_obj
+    return T
+
+
+def explain(
+    encoded: Sequence[EncodedView],
+    model: ObjectModel,
+    starts: Sequence[np.ndarray],
+    points: SpacePoints | None = None,
+) -> np.ndarray:
+    """The pose (4, 4) that best explains votes, and points in space if there are any.
+
+    Args:
+        encoded: the views, of one mind (see :func:`agree`), the reference first.
+        model: the object.
+        starts: poses in the reference camera from which it is sought.
+        points: the keypoints as a fusion found them.
+    """
+    return multi_view_pnp(
         model.keypoints,
         np.stack([e.vote_mean for e in encoded]),
         np.stack([e.vote_covariance for e in encoded]),
         [e.K_grid for e in encoded],
         [e.view.T_cam_world for e in encoded],
-        [first.T_cam_obj, solve_pose(model.keypoints, points, model.diameter)],
-    )
-    centre = transform(solution.T_cam_obj, model.keypoints[-1])
-    if not np.isfinite(centre).all() or not 0.1 < centre[2] < 10:
-        return PnpResult(first.T_cam_obj, np.eye(6), np.inf)
-    return solution
+        starts,
+        points,
+    ).T_cam_obj

@@ -47,7 +47,7 @@ class EarlyFusionEstimator(TwoViewEstimator):
     ) -> PoseEstimate:
         model, reference = self.networks.objects[object_name], encoded[0]
         agreed, points = agree(encoded, model)
-        centre = transform(joint_pose(agreed, points, model, first).T_cam_obj, model.keypoints[-1])
+        centre = transform(joint_pose(agreed, points, model, first), model.keypoints[-1])
         found = self.depth_map(encoded, float(centre[2]), model.diameter)
         to_map = grid_matrix(found.stride) @ np.linalg.inv(self._to_grid())
         K_map = to_map @ reference.K_grid

@@ -53,9 +53,12 @@ class PoseEstimate:
         keypoints: the object's nine keypoints in the reference camera, (9, 3), metres.
         keypoint_covariance: their covariances, (9, 3, 3), square metres.
         rois: where the object was found, one region for each view, the reference first.
+        solver_keypoints: what the solver was given, (9, 3), where the pose was refined after it and
+            ``keypoints`` are those of the refined pose; else None.
     """
 
     T_cam_obj: np.ndarray
     keypoints: np.ndarray
     keypoint_covariance: np.ndarray
     rois: list[Roi] = field(default_factory=list)
+    solver_keypoints: np.ndarray | None = None

@@ -1,18 +1,27 @@
-"""``mid``: the pose from two (or more) views, fused in a volume of features."""
+"""``mid``: the pose from two (or more) views, fused in a volume of features.
+
+The keypoints of the volume are solved for the pose. A volume of 16 voxels a side cannot be as sharp
+as the votes of pictures, so the pose is then refined to explain both: keypoints in space and votes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
 
-from .agreement import agree, joint_pose
+from .agreement import agree, explain, joint_pose
 from .estimate import PoseEstimate
 from .frontend import EncodedView
-from .geometry import invert
-from .lifting import KeypointPrior, ViewMaps
+from .geometry import invert, transform
+from .multi_view_pnp import SpacePoints
 from .two_view import TwoViewEstimator
+from .volume import ViewMaps
+
+_LEAST_DEVIATION = 0.02
+"""Standard deviation in diameters that the volume's keypoints are believed at best."""
 
 
 class MidFusionEstimator(TwoViewEstimator):
@@ -24,7 +33,7 @@ class MidFusionEstimator(TwoViewEstimator):
         model = self.networks.objects[object_name]
         agreed, points = agree(encoded, model)
         joint = joint_pose(agreed, points, model, first)
-        prior = KeypointPrior.from_poses([joint], [model.keypoints])
+        guess = transform(joint, model.keypoints[-1])
         T_ref_world = invert(encoded[0].view.T_cam_world)
         projections = [e.K_grid @ (e.view.T_cam_world @ T_ref_world)[:3] for e in agreed]
         maps = ViewMaps(
@@ -40,7 +49,16 @@ class MidFusionEstimator(TwoViewEstimator):
             torch.autocast("cpu", torch.bfloat16, enabled=self.frontend._bfloat16),
         ):
             diameter = torch.tensor([model.diameter], dtype=torch.float32)
-            fine = self.networks.volume(maps, prior, diameter)[-1]
+            fine = self.networks.volume(maps, torch.from_numpy(guess).float()[None], diameter)[-1]
         keypoints = fine.keypoints[0].double().numpy()
         covariance = fine.covariance[0].double().numpy()
-        return self.answer(encoded, object_name, keypoints, covariance, weigh=False)
+        solved = self.answer(encoded, object_name, keypoints, covariance, weigh=False)
+        floor = (_LEAST_DEVIATION * model.diameter) ** 2 * np.eye(3)
+        found = SpacePoints(keypoints, covariance + floor)
+        T = explain(agreed, model, [solved.T_cam_obj, joint], found)
+        return replace(
+            solved,
+            T_cam_obj=T,
+            keypoints=transform(T, model.keypoints),
+            solver_keypoints=keypoints,
+        )

@@ -197,8 +197,8 @@ def robust_normal_equations(
     """Gradient (6,) and Gauss-Newton matrix (6, 6) of the Huber cost of whitened residuals.
 
     Args:
-        residuals: (N, 2).
-        jacobian: (N, 2, 6).
+        residuals: (N, D).
+        jacobian: (N, D, 6).
     """
     distances = np.sqrt((residuals**2).sum(axis=1))
     weights = np.minimum(1.0, _HUBER / np.maximum(distances, 1e-12))
@@ -225,7 +225,7 @@ def point_jacobian(rotated: np.ndarray) -> np.ndarray:
 
 
 def huber_cost(residuals: np.ndarray) -> float:
-    """Huber cost of whitened residuals (N, 2)."""
+    """Huber cost of whitened residuals (N, D)."""
     distances = np.sqrt((residuals**2).sum(axis=1))
     far = distances > _HUBER
     return float(np.where(far, _HUBER * (distances - 0.5 * _HUBER), 0.5 * distances**2).sum())

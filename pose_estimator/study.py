@@ -149,9 +149,11 @@ def compare_with_truth(
     """
     errors = {}
     if solvers:
-        covariance = _used_covariance(estimate, model)
+        given, covariance = estimate.solver_keypoints, None
+        if given is None:
+            given, covariance = estimate.keypoints, _used_covariance(estimate, model)
         for solver in SOLVERS:
-            T = solve_pose(model.keypoints, estimate.keypoints, model.diameter, solver, covariance)
+            T = solve_pose(model.keypoints, given, model.diameter, solver, covariance)
             errors[solver] = add_or_add_s(T, T_true, model) / model.diameter
     return {
         "error": add_or_add_s(estimate.T_cam_obj, T_true, model) / model.diameter,

@@ -50,7 +50,8 @@ class TwoViewEstimator(SingleViewEstimator):
             first: the best pose so far: from the reference alone, or from an earlier fusion.
 
         Returns:
-            The pose in the reference camera; ``keypoints`` are those that the solver was given.
+            The pose in the reference camera; ``keypoints`` are those that the solver was given, or
+            those of a pose that was refined after it.
         """
         raise NotImplementedError(f"{type(self).__name__} does not say how it fuses views")
 

@@ -6,9 +6,8 @@ picture: a learned initial value); a 3D CNN turns them into one distribution ove
 each keypoint, and a keypoint is the distribution's expectation. A coarse volume finds the object,
 a fine one inside it finds the keypoints.
 
-Beside the features a volume may lift evidence: how likely the votes of each view, and the pose that
-explains the votes of all views at once, make each voxel to be the keypoint. The 3D CNN then starts
-from probabilistic triangulation of a rigid object and corrects it.
+Beside the features a volume may lift each view's 2D evidence: how likely its votes make each voxel
+to be the keypoint. The 3D CNN then starts from probabilistic triangulation and corrects it.
 """
 
 from __future__ import annotations
@@ -22,7 +21,12 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from .features import KEYPOINTS
-from .lifting import KeypointPrior, ViewMaps, lift, prior_evidence, voxel_centres
+
+_EVIDENCE_FLOOR = 1e-3
+"""What a voxel far from a vote keeps of its probability: a vote may be wrong."""
+
+_VOXEL_DEVIATION = 0.4
+"""Standard deviation in voxels that a voxel's extent adds to a vote."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,7 @@ class VolumeConfig:
         coarse: the first volume, around the guess.
         fine: the second volume, around the coarse answer.
         hidden: channels of the 3D network.
-        evidence: whether votes, and the pose that explains them, are lifted beside the features.
+        evidence: whether the views' votes are lifted beside their features.
         coarse_pose: whether the coarse volume's pose is part of the training's loss.
     """
 
@@ -84,6 +88,22 @@ PRESETS = {
 }
 """``paper`` is the paper's: +-0.3 m in voxels of 0.01 m, then the object in voxels of 0.005 m, from
 features alone, and both levels' poses in the loss. ``fast`` is the default."""
+
+
+class ViewMaps(NamedTuple):
+    """What B samples of V views bring to a volume, the reference view first.
+
+    Attributes:
+        features: (B, V, C, G, G).
+        projection: (B, V, 3, 4), from the reference camera's frame to pixels of the feature grid.
+        vote_mean: (B, V, 9, 2), pixels of the feature grid.
+        vote_covariance: (B, V, 9, 2, 2).
+    """
+
+    features: Tensor
+    projection: Tensor
+    vote_mean: Tensor
+    vote_covariance: Tensor
 
 
 class LevelOutput(NamedTuple):
@@ -116,7 +136,7 @@ class Volume(nn.Module):
         super().__init__()
         self.evidence = config.evidence
         self.outside = nn.Parameter(torch.zeros(channels))
-        inputs = 2 * channels + (3 * KEYPOINTS if config.evidence else 0)
+        inputs = 2 * channels + (2 * KEYPOINTS if config.evidence else 0)
         layers: list[nn.Module] = []
         for width in (inputs, config.hidden, config.hidden):
             layers += [
@@ -127,44 +147,32 @@ class Volume(nn.Module):
         self.trunk = nn.Sequential(*layers)
         self.output = nn.Conv3d(config.hidden, KEYPOINTS, 3, padding=1)
         if config.evidence:
-            # How far the evidence is believed that the convolutions correct: the votes of the
-            # reference, those of the others, and the joint pose, which knows both already.
-            self.trust = nn.Parameter(torch.tensor([0.5, 0.5, 1.0]))
             nn.init.normal_(self.output.weight, std=0.01)
             assert self.output.bias is not None
             nn.init.zeros_(self.output.bias)
 
     def forward(
-        self,
-        views: ViewMaps,
-        prior: KeypointPrior,
-        centre: Tensor,
-        level: LevelConfig,
-        diameter: Tensor,
+        self, views: ViewMaps, centre: Tensor, level: LevelConfig, diameter: Tensor
     ) -> LevelOutput:
         """Finds the keypoints in a volume around ``centre`` (B, 3); ``diameter`` is (B,)."""
         count, half = level.shape(diameter)
         cell_size = 2 * half / count
-        parts, believed = [], None
         # Only the convolutions bear bfloat16: at a metre its steps are 8 mm.
         with torch.autocast(centre.device.type, enabled=False):
             cells = voxel_centres(centre, half, count)
-            lifted, votes = lift(views, cells, cell_size, self.outside, self.evidence)
-            # The paper concatenates two views; further ones share the second's place.
-            others = lifted[:, 1:].mean(1) if lifted.shape[1] > 1 else lifted[:, 0]
-            parts += [lifted[:, 0], others]
-            if votes is not None:
-                joint = prior_evidence(prior, cells, cell_size, diameter)
-                evidence = torch.stack([votes[:, 0], votes[:, 1:].sum(1), joint], 1)
-                parts.append(evidence.flatten(1, 2))
-                believed = (self.trust[:, None, None] * evidence).sum(1)
+            lifted, evidence = lift(views, cells, cell_size, self.outside, self.evidence)
+        # The paper concatenates two views; further ones share the second's place.
+        others = lifted[:, 1:].mean(1) if lifted.shape[1] > 1 else lifted[:, 0]
+        parts = [lifted[:, 0], others]
+        if evidence is not None:
+            parts += [evidence[:, 0], evidence[:, 1:].sum(1)]
         x = torch.cat(parts, 1)
         x = x.reshape(*x.shape[:2], count, count, count)
         x = self.output(self.trunk(x.contiguous(memory_format=torch.channels_last_3d)))
         with torch.autocast(centre.device.type, enabled=False):
             logits = x.reshape(*x.shape[:2], -1).float()
-            if believed is not None:
-                logits = logits + believed
+            if evidence is not None:
+                logits = logits + evidence.sum(1)
             log_probability = F.log_softmax(logits, -1)
             probability = log_probability.exp()
             keypoints = probability @ cells
@@ -187,22 +195,84 @@ class VolumeNet(nn.Module):
         self.coarse = Volume(channels, config)
         self.fine = Volume(channels, config)
 
-    def forward(
-        self, views: ViewMaps, prior: KeypointPrior, diameter: Tensor, guess: Tensor | None = None
-    ) -> list[LevelOutput]:
+    def forward(self, views: ViewMaps, guess: Tensor, diameter: Tensor) -> list[LevelOutput]:
         """Finds the keypoints.
 
         Args:
             views: what the views bring.
-            prior: the keypoints of the pose that explains all votes.
+            guess: (B, 3) the object's centre in the reference camera, m.
             diameter: (B,) m.
-            guess: (B, 3) the object's centre in the reference camera, m, around which the coarse
-                volume lies; none = where ``prior`` has it.
 
         Returns:
             The coarse and the fine answer.
         """
-        guess = prior.mean[:, -1] if guess is None else guess
-        coarse = self.coarse(views, prior, guess, self.config.coarse, diameter)
+        coarse = self.coarse(views, guess, self.config.coarse, diameter)
         centre = coarse.keypoints[:, -1].detach()
-        return [coarse, self.fine(views, prior, centre, self.config.fine, diameter)]
+        return [coarse, self.fine(views, centre, self.config.fine, diameter)]
+
+
+def voxel_centres(centre: Tensor, half: Tensor, count: int) -> Tensor:
+    """Centres (B, count^3, 3) of the voxels of cubes of half side ``half`` (B,) around (B, 3)."""
+    steps = (torch.arange(count, dtype=centre.dtype) + 0.5) / count * 2 - 1
+    grid = torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
+    return centre[:, None] + grid * half[:, None, None]
+
+
+def lift(
+    views: ViewMaps, cells: Tensor, cell_size: Tensor, outside: Tensor, with_evidence: bool
+) -> tuple[Tensor, Tensor | None]:
+    """Samples every view at the projections of voxels.
+
+    Args:
+        views: what the views bring.
+        cells: (B, N, 3) in the reference camera's frame, m.
+        cell_size: (B,) side of a voxel, m.
+        outside: (C,) what a voxel gets that projects outside a view.
+        with_evidence: whether to lift the votes as well.
+
+    Returns:
+        Features (B, V, C, N) and evidence (B, V, 9, N) or None: log-likelihoods up to a constant.
+    """
+    batch, count, channels, side, _ = views.features.shape
+    P = views.projection
+    uvw = torch.einsum("bvij,bnj->bvni", P[..., :3], cells) + P[..., 3].unsqueeze(2)
+    pixels = uvw[..., :2] / uvw[..., 2:].clamp(min=0.05)
+    grid = pixels * (2.0 / (side - 1)) - 1.0
+    features = views.features.float()  # sampling positions do not bear bfloat16
+    sampled = F.grid_sample(
+        features.reshape(batch * count, channels, side, side),
+        grid.reshape(batch * count, 1, -1, 2),
+        mode="bilinear",
+        padding_mode="border",
+        align_corners=True,
+    ).reshape(batch, count, channels, -1)
+    inside = (grid.abs().amax(-1) <= 1.0) & (uvw[..., 2] > 0.05)
+    sampled = torch.where(
+        inside.unsqueeze(2), sampled, outside.to(sampled.dtype)[None, None, :, None]
+    )
+    if not with_evidence:
+        return sampled, None
+    covariance = views.vote_covariance + _footprint(P, cells.mean(1), cell_size).unsqueeze(2)
+    precision = torch.linalg.inv(covariance)
+    offset = pixels.unsqueeze(2) - views.vote_mean.unsqueeze(3)
+    x, y = offset[..., 0], offset[..., 1]
+    distance = (
+        precision[..., 0, 0, None] * x * x
+        + 2 * precision[..., 0, 1, None] * x * y
+        + precision[..., 1, 1, None] * y * y
+    )
+    evidence = torch.log(torch.exp(-0.5 * distance) + _EVIDENCE_FLOOR)
+    return sampled, evidence.to(sampled.dtype)
+
+
+def _footprint(projection: Tensor, centre: Tensor, cell_size: Tensor) -> Tensor:
+    """Covariance (B, V, 2, 2) of a voxel's projection, for voxels near ``centre`` (B, 3).
+
+    A vote sharper than a voxel would fall between the centres of voxels and be lost.
+    """
+    uvw = torch.einsum("bvij,bj->bvi", projection[..., :3], centre) + projection[..., 3]
+    depth = uvw[..., 2:].clamp(min=0.05)
+    pixel = uvw[..., :2] / depth
+    rows = projection[..., :2, :3] - pixel.unsqueeze(-1) * projection[..., 2:, :3]
+    jacobian = rows * (_VOXEL_DEVIATION * cell_size[:, None, None] / depth).unsqueeze(-1)
+    return jacobian @ jacobian.transpose(-1, -2)

@@ -13,28 +13,13 @@ from torch import Tensor
 from .dataset import TargetSample, batches, stack_targets
 from .frontend import vote
 from .geometry import grid_matrix, make_transform
-from .lifting import KeypointPrior, ViewMaps
 from .losses import distribution_loss, keypoint_loss, pose_loss
-from .multi_view_pnp import multi_view_pnp
-from .pnp import uncertainty_pnp
-from .solvers import RigidMotions, solve, solve_pose
+from .solvers import RigidMotions, solve
 from .stages import StageBase, correct_poses
 from .symmetry import keypoint_permutations
-from .triangulation import triangulate
-from .volume import LevelOutput
+from .volume import LevelOutput, ViewMaps
 
 _Pair = tuple[TargetSample, TargetSample, np.ndarray]
-
-_START_TURN = 0.15
-_START_SHIFT = 0.1
-"""Standard deviation, in radians and diameters along each axis, of the poses near the truth from
-which the joint pose is sought in most of the training."""
-
-_AS_IN_USE = 0.3
-"""Share of the training in which it is sought from the votes alone, as in use, and may be wrong."""
-
-_FARTHEST_GUESS = 0.6
-"""Distance in diameters from the truth up to which a joint pose's centre is trained on."""
 
 _KEYPOINT_WEIGHT = 4.0
 _DISTRIBUTION_WEIGHT = 0.2
@@ -84,15 +69,13 @@ class VolumeStage(StageBase):
         batch: list[_Pair],
         rng: np.random.Generator,
         pose_noise: tuple[float, float] = (0.0, 0.0),
-        as_in_use: float = 0.0,
     ) -> dict[str, Any]:
-        """Runs a batch of pairs; what the volume is told of the pose comes from the votes.
+        """Runs a batch of pairs; the guess of the centre is the truth with noise.
 
         Args:
             batch: the pairs.
-            rng: of where the joint pose is sought from, and of the noise.
-            pose_noise: of the relative pose that the volume is told.
-            as_in_use: share of the pairs for which that pose is sought without knowing the truth.
+            rng: of the noise.
+            pose_noise: of the relative pose that the volume is told, and nothing else.
         """
         networks = self.networks
         networks.features.eval()
@@ -107,64 +90,29 @@ class VolumeStage(StageBase):
         T_second_ref = np.stack([T for _, _, T in batch])
         K = tensors["K"].reshape(count, 2, 3, 3)
         K = torch.from_numpy(grid_matrix(networks.features.config.stride)).float() @ K
+        projection = _projections(K, T_second_ref)
         truth = self.keypoints[index] @ T_true[:, :3, :3].transpose(1, 2) + T_true[:, None, :3, 3]
-        self._agree(mean, covariance, _projections(K, T_second_ref), truth, index)
-        if any(pose_noise):
-            T_second_ref = np.stack([perturb(T, *pose_noise, rng) for T in T_second_ref])
+        self._agree(mean, covariance, projection, truth, index)
         diameter = self.diameters[index]
-        prior = self._prior(mean, covariance, K, T_second_ref, T_true, index, rng, as_in_use)
-        guess = prior.mean[:, -1]
-        if as_in_use < 1:
-            # A volume beside the object has nothing to learn.
-            centre = truth[:, -1]
-            lost = (guess - centre).norm(dim=-1) > _FARTHEST_GUESS * diameter
-            near = torch.from_numpy(rng.normal(0, 0.1, (count, 3))).float() * diameter[:, None]
-            guess = torch.where(lost[:, None], centre + near, guess)
+        noise = torch.from_numpy(rng.normal(0, 0.1, (count, 3))).float()
+        guess = truth[:, -1] + noise * diameter[:, None]
+        if any(pose_noise):
+            projection = _projections(
+                K, np.stack([perturb(T, *pose_noise, rng) for T in T_second_ref])
+            )
         side = out.volume.shape[-1]
         maps = ViewMaps(
             features=out.volume.reshape(count, 2, -1, side, side),
-            projection=_projections(K, T_second_ref),
+            projection=projection,
             vote_mean=mean,
             vote_covariance=covariance,
         )
         with self.autocast():
-            levels = networks.volume(maps, prior, diameter, guess)
+            levels = networks.volume(maps, guess, diameter)
         return {
             "levels": levels, "truth": truth, "T_true": T_true, "diameter": diameter,
             "index": index,
         }  # fmt: skip
-
-    def _prior(
-        self,
-        mean: Tensor,
-        covariance: Tensor,
-        K: Tensor,
-        T_second_ref: np.ndarray,
-        T_true: Tensor,
-        index: Tensor,
-        rng: np.random.Generator,
-        as_in_use: float,
-    ) -> KeypointPrior:
-        """The keypoints of the poses that explain the votes."""
-        models = [self.train.models[number] for number in index.tolist()]
-        poses = []
-        for sample, model in enumerate(models):
-            means, covariances, Ks = (
-                part[sample].double().numpy() for part in (mean, covariance, K)
-            )
-            cameras = [np.eye(4), T_second_ref[sample]]
-            if rng.random() < as_in_use:
-                points, _ = triangulate(means, covariances, list(Ks), cameras)
-                starts = [
-                    uncertainty_pnp(model.keypoints, means[0], covariances[0], Ks[0]).T_cam_obj,
-                    solve_pose(model.keypoints, points, model.diameter),
-                ]
-            else:
-                starts = [_near(T_true[sample].double().numpy(), model.diameter, rng)]
-            poses.append(
-                multi_view_pnp(model.keypoints, means, covariances, list(Ks), cameras, starts)
-            )
-        return KeypointPrior.from_poses(poses, [model.keypoints for model in models])
 
     def solve(self, level: LevelOutput, out: dict[str, Any]) -> RigidMotions:
         """The poses that a level's keypoints mean, differentiably."""
@@ -195,7 +143,7 @@ class VolumeStage(StageBase):
         rng = np.random.default_rng(
             [self.seed, *np.round(batch[0][2][:3, 3] * 1e6).astype(int) % 2**31]
         )
-        out = self.forward(batch, rng, self.pose_noise, _AS_IN_USE)
+        out = self.forward(batch, rng, self.pose_noise)
         total = torch.zeros(())
         numbers: dict[str, Tensor] = {}
         for level, name in zip(out["levels"], ("coarse", "fine"), strict=True):
@@ -220,7 +168,7 @@ class VolumeStage(StageBase):
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
-        """3D keypoint distance over the diameter, and ADD(-S) recall; all is found as in use."""
+        """3D keypoint distance over the diameter, and ADD(-S) recall, guess with noise."""
         self.networks.volume.eval()
         rng = np.random.default_rng(1)
         errors: list[np.ndarray] = []
@@ -229,7 +177,7 @@ class VolumeStage(StageBase):
         rounds, size = (16, 16) if self.networks.volume.config.fine.cells else (24, 2)
         for _ in range(rounds):
             batch = [self.held_out.draw_pair(rng) for _ in range(size)]
-            out = self.forward(batch, rng, as_in_use=1.0)
+            out = self.forward(batch, rng)
             solution = self.solve(out["levels"][-1], out)
             distance = (out["levels"][-1].keypoints - out["truth"]).norm(dim=-1).mean(1)
             errors.append((distance / out["diameter"]).numpy())
@@ -252,12 +200,6 @@ def perturb(
     axis, direction = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
     turn = Rotation.from_rotvec(axis * np.radians(rng.uniform(0, degrees))).as_matrix()
     return make_transform(turn, direction * rng.uniform(0, metres)) @ T_second_ref
-
-
-def _near(T: np.ndarray, diameter: float, rng: np.random.Generator) -> np.ndarray:
-    """A pose (4, 4) somewhat off another."""
-    turn = Rotation.from_rotvec(rng.normal(0, _START_TURN, 3)).as_matrix()
-    return make_transform(turn @ T[:3, :3], T[:3, 3] + rng.normal(0, _START_SHIFT * diameter, 3))
 
 
 def _projections(K: Tensor, T_second_ref: np.ndarray) -> Tensor:

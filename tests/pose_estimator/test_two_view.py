@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from two_view_pose.pose_estimator.agreement import agree, joint_pose
+from two_view_pose.pose_estimator.agreement import agree, explain, joint_pose
 from two_view_pose.pose_estimator.estimate import PoseEstimate, Roi, roi_of_pose
 from two_view_pose.pose_estimator.geometry import (
     LINEMOD_K,
@@ -17,6 +17,7 @@ from two_view_pose.pose_estimator.geometry import (
 )
 from two_view_pose.pose_estimator.late_fusion import LateFusionEstimator
 from two_view_pose.pose_estimator.mid_fusion import MidFusionEstimator
+from two_view_pose.pose_estimator.multi_view_pnp import SpacePoints
 from two_view_pose.pose_estimator.single_view import SingleViewEstimator
 from two_view_pose.pose_estimator.two_view import TwoViewEstimator, expected_pixel
 from votes import T_WORLD_OBJ, PerfectVotes, camera, view
@@ -115,7 +116,7 @@ def test_the_joint_pose_is_the_truth_whatever_the_baseline(networks, degrees):
     encoded = [frontend.encode(view(d), 0) for d in (20, degrees)]
     truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
     wrong = truth + np.array([0, 0, 0.3])  # as a triangulation with hardly any baseline may be
-    T = joint_pose(encoded, wrong, model, first).T_cam_obj
+    T = joint_pose(encoded, wrong, model, first)
     np.testing.assert_allclose(transform(T, model.keypoints), truth, atol=2e-3)
 
 
@@ -128,7 +129,26 @@ def test_votes_that_no_pose_explains_leave_the_pose_that_was_known(networks):
     lost = replace(encoded[1], view=View(encoded[1].view.image, LINEMOD_K, away))
     far = np.full((9, 3), 50.0)
     joint = joint_pose([encoded[0], lost], far, model, first)
-    assert np.array_equal(joint.T_cam_obj, first.T_cam_obj) and np.isinf(joint.cost)
+    assert np.array_equal(joint, first.T_cam_obj)
+
+
+def test_points_in_space_and_votes_are_weighed_by_their_covariances(networks):
+    """The points lie 2 cm deeper than the votes say."""
+    model = networks.objects["brick"]
+    first, _ = looking(networks, SingleViewEstimator, [view(20)])
+    frontend = PerfectVotes(networks)
+    encoded = [frontend.encode(view(d), 0) for d in (20, 65)]
+    truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
+    deeper = truth + np.array([0, 0, 0.02])
+    depths = []
+    for deviation in (1.0, 1e-4):
+        points = SpacePoints(deeper, np.tile(np.eye(3) * deviation**2, (9, 1, 1)))
+        T = explain(encoded, model, [first.T_cam_obj], points)
+        depths.append(transform(T, model.keypoints)[-1, 2] - truth[-1, 2])
+    assert depths[0] == pytest.approx(0.0, abs=1e-4)
+    assert depths[1] == pytest.approx(0.02, abs=1e-3)
+    with pytest.raises(ValueError, match="points must be"):
+        explain(encoded, model, [first.T_cam_obj], SpacePoints(deeper[:8], np.ones((8, 3, 3))))
 
 
 def test_wrong_calls_are_refused(networks):
