@@ -25,7 +25,7 @@ class AugmentationConfig:
     """
 
     shift: float = 0.04
-    scale: float = 0.13
+    scale: float = 0.07
     turn: float = 0.25
     brightness: float = 0.15
     contrast: float = 0.12
@@ -49,7 +49,7 @@ def jitter_affine(
     Returns:
         (3, 3) affine map, around the crops' centres; the caller shifts it to pixel coordinates.
     """
-    scale = zoom * np.exp(np.clip(rng.normal(0, config.scale), -0.3, 0.3))
+    scale = zoom * np.exp(np.clip(rng.normal(0, config.scale), -0.2, 0.2))
     angle = rng.uniform(-config.turn, config.turn)
     shift = np.clip(rng.normal(0, config.shift, 2), -0.12, 0.12) * side
     cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
