@@ -7,7 +7,6 @@ temporary name and renamed, so that a killed run leaves nothing that looks finis
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from .bop import BopAnnotation, Box
 from .bop_fields import MM
 from .bop_pairs import BopPair
 from .geometry import check_image, check_intrinsics, check_rigid
+from .results import write_atomically
 
 DEPTH_SCALE = 0.1
 """Millimetres for each step of the 16-bit depth maps that we write: up to 6.5 m."""
@@ -173,9 +173,7 @@ def write_json(path: Path, content: Any) -> None:
         text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     except ValueError as error:
         raise ValueError(f"{path} cannot hold NaN or infinite numbers") from error
-    temporary = path.with_name(f".{path.name}.partial")
-    temporary.write_text(text)
-    os.replace(temporary, path)
+    write_atomically(path, text.encode())
 
 
 def bounding_box(mask: np.ndarray) -> Box:
@@ -266,9 +264,7 @@ def _write_ply(path: Path, model: ObjectModel, texture: str) -> None:
     data = trimesh.exchange.ply.export_ply(mesh, vertex_normal=False)
     start = data.index(b"\nelement vertex")
     data = data[:start] + f"\ncomment TextureFile {texture}".encode() + data[start:]
-    temporary = path.with_name(f".{path.name}.partial")
-    temporary.write_bytes(data)
-    os.replace(temporary, path)
+    write_atomically(path, data)
 
 
 def _encode(path: Path, image: np.ndarray, options: Sequence[int]) -> None:
