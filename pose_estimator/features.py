@@ -110,11 +110,10 @@ class KeypointNet(nn.Module):
         """Makes one decoder of all, the mean of them, which they once were copies of."""
         if self.config.own_decoders:
             shared = copy.deepcopy(self.decoders[0])
-            state = shared.state_dict()
-            for name in state:
-                each = torch.stack([d.state_dict()[name].double() for d in self.decoders])
-                state[name] = each.mean(0).to(state[name].dtype)
-            shared.load_state_dict(state)
+            states = [decoder.state_dict() for decoder in self.decoders]
+            shared.load_state_dict(
+                {n: torch.stack([s[n].double() for s in states]).mean(0) for n in states[0]}
+            )
             self.decoders = nn.ModuleList([shared])
             self.config = replace(self.config, own_decoders=False)
 

@@ -130,21 +130,12 @@ class DetectorStage(StageBase):
         }
 
 
-class FeatureStage(StageBase):
-    """Segmentation and vector fields on single crops, by one decoder for all objects."""
-
-    name = "features"
-
-    def __init__(self, *args: Any, **kwargs: Any):
-        super().__init__(*args, **kwargs)
-        self.networks.features.share_decoders()
+class CropStage(StageBase):
+    """What is the same whether the 2D network has one decoder or many: its loss and its measure."""
 
     @property
     def module(self) -> torch.nn.Module:
         return self.networks.features
-
-    def batches(self, start: int) -> Iterator[list[TargetSample]]:
-        return batches(self.train.draw_target, self.batch, self.seed, start)
 
     def loss(self, batch: list[TargetSample]) -> tuple[Tensor, dict[str, Tensor]]:
         self.module.train()
@@ -190,13 +181,26 @@ class FeatureStage(StageBase):
         }
 
 
-class DecoderStage(FeatureStage):
+class FeatureStage(CropStage):
+    """Segmentation and vector fields on single crops, by one decoder for all objects."""
+
+    name = "features"
+
+    def __init__(self, *args: Any, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        self.networks.features.share_decoders()
+
+    def batches(self, start: int) -> Iterator[list[TargetSample]]:
+        return batches(self.train.draw_target, self.batch, self.seed, start)
+
+
+class DecoderStage(CropStage):
     """A decoder for each object, each on its own crops; the encoder stays as it is."""
 
     name = "decoders"
 
     def __init__(self, *args: Any, **kwargs: Any):
-        StageBase.__init__(self, *args, **kwargs)
+        super().__init__(*args, **kwargs)
         features = self.networks.features
         features.split_decoders()
         for part in (features.encoder, features.embedding, features.film16, features.film4):
