@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,14 +13,14 @@ from .crops import warp_crop
 from .detector import decode, detector_input
 from .estimate import Roi
 from .features import Features2D
-from .geometry import View, crop_matrix, grid_matrix
+from .geometry import View, crop_matrix, grid_matrix, turn_matrix
 from .networks import PoseNetworks, has_fast_bfloat16
 from .voting import vote_keypoints
 
 _CACHED_VIEWS = 4
 
 _MERGE_FLOOR = 0.3
-"""Variance in grid pixels that two crops' votes are given at least when they are averaged."""
+"""Variance in grid pixels that several crops' votes are given at least when they are averaged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +96,23 @@ class Frontend:
             for cached, cached_index, encoded in self._cache:
                 if cached is view and cached_index == index:
                     return encoded
-        encoded = self._encode(view, index, roi or self.detect(view, index, prior))
+        [encoded] = self._encode(view, index, roi or self.detect(view, index, prior))
         if prior is None and roi is None:
             self._cache = [*self._cache[1 - _CACHED_VIEWS :], (view, index, encoded)]
         return encoded
+
+    def encode_turned(
+        self, view: View, index: int, roi: Roi, turns: Sequence[float]
+    ) -> list[EncodedView]:
+        """Votes in several crops of one region, as one batch.
+
+        Args:
+            view: picture and camera.
+            index: which object, in the networks' order.
+            roi: where it is.
+            turns: how far each crop is turned in the plane of the picture, radians.
+        """
+        return self._encode(view, index, roi, turns)
 
     @torch.inference_mode()
     def detect(self, view: View, index: int, prior: tuple[np.ndarray, float] | None = None) -> Roi:
@@ -117,30 +131,38 @@ class Frontend:
         )
 
     @torch.inference_mode()
-    def _encode(self, view: View, index: int, roi: Roi) -> EncodedView:
+    def _encode(
+        self, view: View, index: int, roi: Roi, turns: Sequence[float] = (0.0,)
+    ) -> list[EncodedView]:
         config = self.networks.features.config
-        to_crop = crop_matrix(roi.centre, roi.side, config.crop)
-        crop = warp_crop(view.image, to_crop, config.crop)
-        crops = torch.from_numpy(crop).permute(2, 0, 1)[None].float()
+        upright = crop_matrix(roi.centre, roi.side, config.crop)
+        to_crops = [turn_matrix(turn, config.crop) @ upright for turn in turns]
+        stack = np.stack([warp_crop(view.image, A, config.crop) for A in to_crops])
+        crops = torch.from_numpy(stack).permute(0, 3, 1, 2).float()
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
             network = self.networks.features
             maps = network.encoder.pyramid(crops.contiguous(memory_format=torch.channels_last))
-            features = network.decode(maps, torch.tensor([index]))
-        mean, covariance, score = vote(features)
-        to_grid = grid_matrix(config.stride) @ to_crop
-        return EncodedView(
-            view=view,
-            roi=roi,
-            K_grid=to_grid @ view.K,
-            to_image=np.linalg.inv(to_grid),
-            volume=features.volume[0].float(),
-            vote_mean=mean[0].double().numpy(),
-            vote_covariance=covariance[0].double().numpy(),
-            vote_score=score[0].double().numpy(),
-            mask=torch.sigmoid(features.mask_logits[0].float()).numpy(),
-            decoder=features.decoder[0],
-            maps=tuple(m[0] for m in maps),
-        )
+            features = network.decode(maps, torch.full((len(turns),), index))
+        means, covariances, scores = (part.double().numpy() for part in vote(features))
+        encoded = []
+        for n, to_crop in enumerate(to_crops):
+            to_grid = grid_matrix(config.stride) @ to_crop
+            encoded.append(
+                EncodedView(
+                    view=view,
+                    roi=roi,
+                    K_grid=to_grid @ view.K,
+                    to_image=np.linalg.inv(to_grid),
+                    volume=features.volume[n].float(),
+                    vote_mean=means[n],
+                    vote_covariance=covariances[n],
+                    vote_score=scores[n],
+                    mask=torch.sigmoid(features.mask_logits[n].float()).numpy(),
+                    decoder=features.decoder[n],
+                    maps=tuple(m[n] for m in maps),
+                )
+            )
+        return encoded
 
 
 def vote(features: Features2D) -> tuple[Tensor, Tensor, Tensor]:
@@ -160,30 +182,33 @@ def vote(features: Features2D) -> tuple[Tensor, Tensor, Tensor]:
     return votes.mean, votes.covariance, votes.score
 
 
-def merge_votes(view: EncodedView, other: EncodedView, permutations: np.ndarray) -> EncodedView:
-    """Averages the votes of two crops of one picture, each keypoint by its two covariances.
+def merge_votes(
+    view: EncodedView, others: Sequence[EncodedView], permutations: np.ndarray
+) -> EncodedView:
+    """Averages the votes of several crops of one picture, each keypoint by its covariances.
 
     Args:
         view: the crop whose grid and features the result keeps.
-        other: another crop of the same picture.
-        permutations: (P, 9) the numberings that the object's symmetries allow; ``other`` takes the
-            one that is nearest to ``view``.
+        others: further crops of the same picture.
+        permutations: (P, 9) the numberings that the object's symmetries allow; each of ``others``
+            takes the one that is nearest to ``view``.
 
     Returns:
-        ``view`` with both crops' votes. Their errors are those of one network on one picture, not
+        ``view`` with the votes of all. Their errors are those of one network on one picture, not
         independent ones, so the covariance is that of one crop.
     """
-    A = np.linalg.inv(view.to_image) @ other.to_image
-    moved = (other.vote_mean @ A[:2, :2].T + A[:2, 2])[permutations]
-    best = int(np.linalg.norm(moved - view.vote_mean, axis=-1).sum(-1).argmin())
-    turned = A[:2, :2] @ other.vote_covariance[permutations[best]] @ A[:2, :2].T
-    means = np.stack([view.vote_mean, moved[best]])
-    covariances = np.stack([view.vote_covariance, turned])
-    precision = np.linalg.inv(covariances + _MERGE_FLOOR * np.eye(2))
+    means, covariances = [view.vote_mean], [view.vote_covariance]
+    for other in others:
+        A = np.linalg.inv(view.to_image) @ other.to_image
+        moved = (other.vote_mean @ A[:2, :2].T + A[:2, 2])[permutations]
+        best = int(np.linalg.norm(moved - view.vote_mean, axis=-1).sum(-1).argmin())
+        means.append(moved[best])
+        covariances.append(A[:2, :2] @ other.vote_covariance[permutations[best]] @ A[:2, :2].T)
+    precision = np.linalg.inv(np.stack(covariances) + _MERGE_FLOOR * np.eye(2))
     covariance = np.linalg.inv(precision.sum(0))
-    weighted = np.einsum("vkij,vkj->ki", precision, means)
+    weighted = np.einsum("vkij,vkj->ki", precision, np.stack(means))
     return replace(
         view,
         vote_mean=np.einsum("kij,kj->ki", covariance, weighted),
-        vote_covariance=2 * covariance,
+        vote_covariance=len(means) * covariance,
     )

@@ -178,6 +178,19 @@ def crop_matrix(centre: np.ndarray, side: float, size: int) -> np.ndarray:
     )
 
 
+def turn_matrix(angle: float, size: int) -> np.ndarray:
+    """The affine map (3, 3) that turns a crop of ``size`` pixels about its middle, by radians."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    middle = (size - 1) / 2
+    return np.array(
+        [
+            [cosine, -sine, middle * (1 - cosine + sine)],
+            [sine, cosine, middle * (1 - cosine - sine)],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+
+
 def grid_matrix(stride: int) -> np.ndarray:
     """The affine map (3, 3) from pixels of a picture to those of a map with a stride."""
     offset = (1 - stride) / (2 * stride)

@@ -22,6 +22,9 @@ from .symmetry import keypoint_permutations
 _LEAST_PRIOR = 25.0
 _LARGEST_PRIOR = 150.0
 
+_TURNS = (0.0, -0.2, 0.2)
+"""Turns in radians of the crops of the second look, all within what the network was trained on."""
+
 
 class TwoViewEstimator(SingleViewEstimator):
     """A fusion of views; a method adds :meth:`fuse`.
@@ -113,7 +116,8 @@ class TwoViewEstimator(SingleViewEstimator):
     ) -> list[EncodedView]:
         """Crops every view where a first fusion says the object is, and votes once more.
 
-        The detector misjudges the size of a region by some ten percent; a fused pose does not.
+        The detector misjudges the size of a region by some ten percent; a fused pose does not. And
+        a network's errors differ a little from crop to crop: the votes of several are averaged.
         """
         model, index = self.networks.objects[object_name], self.index(object_name)
         permutations = keypoint_permutations(model.keypoints, model.symmetries)
@@ -123,8 +127,8 @@ class TwoViewEstimator(SingleViewEstimator):
         for first in encoded:
             T = first.view.T_cam_world @ invert(T_ref_world) @ fused.T_cam_obj
             roi = roi_of_pose(T, first.view.K, model.diameter, scale, first.roi.score)
-            second = self.frontend.encode(first.view, index, roi=roi)
-            views.append(merge_votes(second, first, permutations))
+            upright, *turned = self.frontend.encode_turned(first.view, index, roi, _TURNS)
+            views.append(merge_votes(upright, [*turned, first], permutations))
         return views
 
 

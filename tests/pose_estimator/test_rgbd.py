@@ -59,6 +59,9 @@ class Votes2D:
             mask=mask.astype(float),
         )
 
+    def encode_turned(self, view, index, roi, turns) -> list[EncodedView]:
+        return [self.encode(view, index, roi=roi)] * len(turns)
+
 
 class FitsCentre(nn.Module):
     """Stands in for the point network: knows the true pose, but places it where the cloud is."""

@@ -73,6 +73,9 @@ class PerfectVotes:
             mask=np.ones((config.grid, config.grid)),
         )
 
+    def encode_turned(self, view, index, roi, turns) -> list[EncodedView]:
+        return [self.encode(view, index, roi=roi)] * len(turns)
+
 
 class Garbage(PerfectVotes):
     """Votes anywhere, with any confidence."""
