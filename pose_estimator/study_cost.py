@@ -92,6 +92,14 @@ def together(calls: Sequence[Call]) -> Call:
     return replace(calls[0], arguments=tuple(map(_join, arguments)), named=named)
 
 
+def by_network(calls: Sequence[Call]) -> list[list[Call]]:
+    """Runs that can be put together: pairs of several objects have a decoder for each object."""
+    groups: dict[int, list[Call]] = {}
+    for call in calls:
+        groups.setdefault(id(call.network), []).append(call)
+    return list(groups.values())
+
+
 def _join(parts: Sequence[Any]) -> Any:
     first = parts[0]
     if isinstance(first, Tensor):
@@ -141,7 +149,8 @@ def measure(
         if networks is not None:
             try:
                 alone, batched = _networks_cost(method, estimator, networks, pairs[:repeats])
-            except ValueError:
+            except ValueError as error:
+                print(f"{method} is not timed in batches: {error}")
                 continue
             # The rest cannot be less than nothing, however the clock jitters.
             rest = max(whole - alone, 0.0)
@@ -165,7 +174,7 @@ def _networks_cost(
     if len({len(run) for run in runs}) != 1:
         raise ValueError("the estimates ran the networks a different number of times")
     filled = [runs[number % len(runs)] for number in range(BATCH)]
-    batches = [together(step) for step in zip(*filled, strict=True)]
+    batches = [together(same) for step in zip(*filled, strict=True) for same in by_network(step)]
     alone = [[_seconds(call.run) for call in run] for run in runs]
     for batch in batches:
         batch.run()

@@ -8,7 +8,7 @@ import torch
 from torch import nn
 from two_view_pose.pose_estimator.estimate import PoseEstimate
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, View
-from two_view_pose.pose_estimator.study_cost import BATCH, measure, recorded, together
+from two_view_pose.pose_estimator.study_cost import BATCH, by_network, measure, recorded, together
 
 
 class Maps(NamedTuple):
@@ -102,6 +102,20 @@ def test_runs_of_different_networks_or_shapes_cannot_be_put_together():
         together(calls[:2])
     with pytest.raises(ValueError, match="differ in shape"):
         together(calls[1:])
+
+
+def test_each_decoder_of_an_object_has_a_batch_of_its_own():
+    networks = Networks()
+    with recorded(networks) as calls:
+        for place in range(5):
+            if place % 2:
+                networks.other(torch.full((1, 1), float(place)))
+            else:
+                networks.volume(Maps(torch.zeros(1, 3), (torch.zeros(1, 3),)), torch.zeros(1))
+    groups = by_network(calls)
+    assert [len(group) for group in groups] == [3, 2]
+    odd = together(groups[1])
+    assert odd.network is networks.other and odd.arguments[0].flatten().tolist() == [1.0, 3.0]
 
 
 def test_all_methods_are_timed_in_turn():
