@@ -165,7 +165,8 @@ def read_numbers(
                 findings.error(path, name, "the field is missing", place=place, remedy=REPAIR)
             continue
         try:
-            numbers = np.array(entry[name], dtype=np.float64).ravel()
+            given = [] if entry[name] is None else entry[name]
+            numbers = np.array(given, dtype=np.float64).ravel()
         except (TypeError, ValueError):
             numbers = np.empty(0)
         if numbers.size != size:

@@ -24,7 +24,7 @@ OTHER_SURFACE = 0.05
 """Mean distance, in diameters, below which two surfaces are the same, above which they are not."""
 
 SAME_COLOUR = 0.05
-_POINTS = 2000
+_POINTS = 600
 _DENSE = 20_000
 
 

@@ -27,6 +27,10 @@ GAIN = 0.15
 SHARE = 0.3
 """Share of a dataset's wrong projections that a cause must explain to be named at all."""
 
+SHIFTED = "shifted"
+LEAST_SHIFTED = 3
+"""A single projection beside its mask is a wrong translation; several are shifted masks."""
+
 LEAST_PIXELS = 60
 LEAST_VISIBLE = 0.15
 """Less of an object than that says nothing about its pose."""
@@ -91,7 +95,7 @@ class Projection:
         named = "pixels" if self.evidence.mask is not None else "bbox_visib"
         return [
             Correction(
-                "shifted", named, "the shape is right and its place is not: masks were shifted or "
+                SHIFTED, named, "the shape is right and its place is not: masks were shifted or "
                 "cropped, or cx and cy are of another crop",
                 "draw masks from the same pictures, or correct cx and cy", self.T_cam_obj, K,
             )
@@ -108,6 +112,8 @@ def explain(suspects: Sequence[Projection]) -> list[Projection]:
     wrong = [p for p in suspects if p.score < FAIR]
     support = Counter(reading.name for p in wrong for reading, _ in p.readings)
     believed = {name for name, count in support.items() if count >= SHARE * len(wrong)}
+    if support[SHIFTED] < LEAST_SHIFTED:
+        believed.discard(SHIFTED)
     for projection in suspects:
         known = [(r, s) for r, s in projection.readings if r.name in believed]
         if known:

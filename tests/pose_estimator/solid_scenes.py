@@ -86,7 +86,9 @@ def camera(azimuth: float, elevation: float, distance: float) -> np.ndarray:
     a, e = np.radians([azimuth, elevation])
     out = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
     right = np.cross(-out, (0, 0, 1)) / np.cos(e)
-    return make_transform(np.stack([right, np.cross(-out, right), -out]), np.array([0, 0, distance]))
+    return make_transform(
+        np.stack([right, np.cross(-out, right), -out]), np.array([0, 0, distance])
+    )
 
 
 def frame(T_world_obj: dict[str, np.ndarray], T_cam_world: np.ndarray) -> BopFrame:
