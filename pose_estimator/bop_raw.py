@@ -7,7 +7,6 @@ missing or broken are NaN. Rotations are left as they are.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,9 +16,11 @@ import numpy as np
 
 from .bop import numbered
 from .bop_fields import MM
+from .bop_raw_fields import REPAIR, read_numbers, read_raw_json
 from .data_findings import Findings, Place
 
-REPAIR = "write the file anew, or fetch it again"
+UNKNOWN = -(2**31)
+"""In the place of an object's number that cannot be read."""
 
 
 @dataclass(eq=False)
@@ -29,7 +30,7 @@ class RawAnnotations:
     Attributes:
         image_id: (N,) the picture each belongs to.
         index: (N,) its position in the picture's list.
-        obj_id: (N,) or -1.
+        obj_id: (N,), ``UNKNOWN`` where it is broken.
         T_cam_obj: (N, 4, 4), metres.
         described: whether the scene has a ``scene_gt_info.json``.
         visibility: (N,).
@@ -81,6 +82,10 @@ class RawScene:
     pictures: dict[int, Path] = field(default_factory=dict)
     depths: dict[int, Path] = field(default_factory=dict)
 
+    def depth(self, image_id: int, steps: np.ndarray) -> np.ndarray:
+        """Steps of a picture's depth map (H, W) as metres."""
+        return steps * (self.depth_scale[self.image_id == image_id][0] / MM)
+
     @property
     def gt_path(self) -> Path:
         """``scene_gt.json``."""
@@ -95,93 +100,6 @@ class RawScene:
     def camera_path(self) -> Path:
         """``scene_camera.json``."""
         return self.folder / "scene_camera.json"
-
-
-def read_raw_json(path: Path, kind: type | tuple[type, ...], findings: Findings) -> Any:
-    """A JSON file's content, or None where it is broken; keys that are there twice are named."""
-    twice: list[str] = []
-
-    def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
-        content = dict(items)
-        if len(content) < len(items):
-            keys = [key for key, _ in items]
-            twice.extend(sorted({key for key in keys if keys.count(key) > 1}))
-        return content
-
-    try:
-        content = json.loads(path.read_text(), object_pairs_hook=pairs)
-    except FileNotFoundError:
-        findings.error(path, "file", "is missing", remedy="restore the file or write it anew")
-        return None
-    except OSError as error:
-        findings.error(path, "file", "cannot be read", detail=str(error.strerror), remedy=REPAIR)
-        return None
-    except (ValueError, RecursionError) as error:
-        findings.error(
-            path, "file", "is not valid JSON", detail=str(error),
-            cause="truncated by a full disk or a killed process, or edited by hand", remedy=REPAIR,
-        )  # fmt: skip
-        return None
-    for key in twice:
-        findings.error(
-            path, "keys", "a key is there twice", detail=f"key {key!r}",
-            cause="scenes were joined without new numbers; readers see the last one alone",
-            remedy="give each picture and object a number of its own",
-        )  # fmt: skip
-    if not isinstance(content, kind):
-        findings.error(
-            path, "file", "holds the wrong kind of JSON", remedy="see BOP's description of formats",
-            detail=f"a {type(content).__name__} instead of {_name(kind)}",
-        )  # fmt: skip
-        return None
-    return content
-
-
-def _name(kind: type | tuple[type, ...]) -> str:
-    kinds = kind if isinstance(kind, tuple) else (kind,)
-    return " or ".join(f"a {k.__name__}" for k in kinds)
-
-
-def read_numbers(
-    entries: Sequence[Any],
-    name: str,
-    size: int,
-    path: Path,
-    places: Sequence[Place],
-    findings: Findings,
-    optional: bool = False,
-) -> np.ndarray:
-    """The field ``name`` of all entries as float64 (N, size), NaN rows where it is broken."""
-    try:
-        values = np.array([e[name] for e in entries], dtype=np.float64).reshape(len(entries), size)
-        if np.isfinite(values).all():
-            return values
-    except (KeyError, TypeError, ValueError):
-        pass
-    values = np.full((len(entries), size), np.nan)
-    for row, (entry, place) in enumerate(zip(entries, places, strict=True)):
-        if not isinstance(entry, dict) or name not in entry:
-            if not optional:
-                findings.error(path, name, "the field is missing", place=place, remedy=REPAIR)
-            continue
-        try:
-            given = [] if entry[name] is None else entry[name]
-            numbers = np.array(given, dtype=np.float64).ravel()
-        except (TypeError, ValueError):
-            numbers = np.empty(0)
-        if numbers.size != size:
-            problem = "must be a number" if size == 1 else f"must be {size} numbers"
-        elif not np.isfinite(numbers).all():
-            problem = "is NaN or infinite"
-        else:
-            values[row] = numbers
-            continue
-        findings.error(
-            path, name, problem, place=place, detail=str(entry[name])[:60],
-            cause="a failed fit or a division by zero" if "NaN" in problem else "",
-            remedy="remove the annotation or compute it anew",
-        )  # fmt: skip
-    return values
 
 
 def read_raw_scene(folder: Path, scene_id: int, findings: Findings) -> RawScene | None:
@@ -246,7 +164,7 @@ def _read_annotations(
     return RawAnnotations(
         image_id=np.array([place.image for place in places], dtype=int),
         index=np.array([place.annotation for place in places], dtype=int),
-        obj_id=np.where(np.isnan(obj_id), -1, obj_id).astype(int),
+        obj_id=np.where(np.isnan(obj_id), UNKNOWN, obj_id).astype(int),
         T_cam_obj=_poses(gt, ("cam_R_m2c", "cam_t_m2c"), path, places, findings),
         described=infos is not None,
         visibility=measured("visib_fract", 1)[:, 0],
@@ -271,7 +189,7 @@ def _described(
     entries = infos.get(key)
     if isinstance(entries, list) and len(entries) == count:
         return entries
-    found = "nothing" if entries is None else f"{len(entries)} entries"
+    found = f"{len(entries)} entries" if isinstance(entries, list) else "no list"
     findings.error(
         path, "image", "does not match scene_gt.json", place=Place(scene_id, int(key)),
         detail=f"{found} for {count} annotations",

@@ -16,7 +16,7 @@ import trimesh
 
 from ..assets import surface
 from .bop_fields import MM
-from .bop_raw import read_numbers, read_raw_json
+from .bop_raw_fields import read_numbers, read_raw_json
 from .data_findings import Findings, Place
 
 LIGHT_FACES = 600
@@ -101,13 +101,23 @@ def _read_model(obj_id: int, entry: Mapping[str, Any], path: Path, findings: Fin
     def numbers(name: str) -> float:
         return float(read_numbers([entry], name, 1, path, where, findings)[0, 0]) / MM
 
-    discrete = entry.get("symmetries_discrete", [])
+    def listed(name: str) -> list[Any]:
+        value = entry.get(name, [])
+        if isinstance(value, list):
+            return value
+        findings.error(
+            path, name, "must be a list", detail=f"object {obj_id}: {str(value)[:60]}",
+            remedy="give a list, empty for none",
+        )  # fmt: skip
+        return []
+
+    discrete = listed("symmetries_discrete")
     rows = [{"symmetries_discrete": row} for row in discrete]
     symmetries = read_numbers(
         rows, "symmetries_discrete", 16, path, where * len(rows), findings
     ).reshape(-1, 4, 4)
     symmetries[:, :3, 3] /= MM
-    continuous = entry.get("symmetries_continuous", [])
+    continuous = listed("symmetries_continuous")
     places = where * len(continuous)
     axes = np.concatenate(
         [

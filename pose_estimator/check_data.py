@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from .bop_raw import RawScene
     from .bop_raw_models import RawModel
-    from .data_checks_pairs import RawPair
+    from .bop_raw_pairs import RawPair
     from .data_checks_pictures import PictureCheck
     from .data_checks_projection import Projection
     from .data_findings import Findings
@@ -35,8 +35,8 @@ class CheckDataConfig:
     scenes: int = 0
     """Most scenes of a split to read, evenly spread; 0 = all."""
     images: int = 1000
-    """Most pictures of a split to look at, evenly spread; 0 = all. A picture takes about a
-    hundredth of a second, and each of its masks as much."""
+    """Most pictures of a split to look at, evenly spread; 0 = all. With its masks a picture takes
+    about a tenth of a second, and longer where projections are wrong."""
     out: Path | None = None
     """Folder for overlay pictures of wrong projections."""
     pictures: int = 8
@@ -85,9 +85,9 @@ def check_data(config: CheckDataConfig) -> int:
 def find_mistakes(config: CheckDataConfig, root: Path) -> tuple[Findings, list[Projection], str]:
     """All findings, the wrong projections, and what was looked at in words."""
     from .bop_raw_models import read_raw_models
+    from .bop_raw_pairs import read_raw_pairs
     from .data_checks_cameras import read_camera_size
     from .data_checks_models import check_models
-    from .data_checks_pairs import read_raw_pairs
     from .data_checks_pictures import PictureCheck
     from .data_checks_projection import explain, report
     from .data_findings import Findings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ def check_info(scene: RawScene, size: tuple[int, int] | None, findings: Findings
         )  # fmt: skip
 
 
-def _check_box(scene: RawScene, size: tuple[int, int], complain) -> None:  # type: ignore[no-untyped-def]
+def _check_box(scene: RawScene, size: tuple[int, int], complain: Callable[..., None]) -> None:
     """Visible boxes must lie in the picture."""
     height, width = size
     box = scene.annotations.bbox_visib

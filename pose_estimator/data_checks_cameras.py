@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .bop_raw import RawScene, read_raw_json
+from .bop_fields import ROTATION_TOLERANCE
+from .bop_raw import RawScene
+from .bop_raw_fields import read_numbers, read_raw_json
 from .data_findings import Findings, Place
 from .geometry import check_intrinsics
 
@@ -36,6 +38,12 @@ def check_cameras(scene: RawScene, size: tuple[int, int] | None, findings: Findi
                 scene.camera_path, "cam_K", problem, cause=cause, remedy=remedy, detail=detail,
                 place=Place(scene.scene_id, image_id),
             )  # fmt: skip
+    for i in np.flatnonzero(~rigid_or_nan(scene.T_cam_world)).tolist():
+        findings.error(
+            scene.camera_path, "cam_R_w2c", "is not a rotation",
+            place=Place(scene.scene_id, int(scene.image_id[i])),
+            remedy="give an orthonormal matrix of determinant +1, row by row",
+        )  # fmt: skip
     for i in np.flatnonzero(scene.depth_scale <= 0).tolist():
         findings.error(
             scene.camera_path, "depth_scale", "must be positive",
@@ -43,6 +51,16 @@ def check_cameras(scene: RawScene, size: tuple[int, int] | None, findings: Findi
             detail=f"{scene.depth_scale[i]:g}",
             remedy="give the millimetres that one step of the depth map means",
         )  # fmt: skip
+
+
+def rigid_or_nan(T: np.ndarray) -> np.ndarray:
+    """Which transforms (N, 4, 4) are rigid, as far as recorded data is, or unknown: bool (N,)."""
+    known = ~np.isnan(T).any(axis=(1, 2))
+    T = np.where(known[:, None, None], T, np.eye(4))
+    rotations = T[:, :3, :3]
+    error = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
+    whole = np.abs(T[:, 3] - (0, 0, 0, 1)).max(axis=1) < 1e-3
+    return (error <= ROTATION_TOLERANCE) & (np.linalg.det(rotations) > 0) & whole
 
 
 def _complaint(
@@ -108,10 +126,13 @@ def read_camera_size(root: Path, findings: Findings) -> tuple[int, int] | None:
     """Height and width that ``camera.json`` says; None where there is none."""
     path = root / "camera.json"
     content = read_raw_json(path, dict, findings) if path.is_file() else None
-    try:
-        return int(content["height"]), int(content["width"])  # type: ignore[index]
-    except (KeyError, TypeError, ValueError):
+    if content is None:
         return None
+    names = ("height", "width", "fx", "fy", "cx", "cy")
+    values = [read_numbers([content], n, 1, path, [Place()], findings)[0, 0] for n in names]
+    if np.isnan(values[:2]).any():
+        return None
+    return int(values[0]), int(values[1])
 
 
 def check_size(

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from .bop_fields import MM
 from .bop_raw_models import RawModel
 from .data_findings import Findings, Place
 from .geometry import transform
@@ -81,8 +80,8 @@ class DepthCheck:
         for m in wrong:
             factor = next((s for s in STEPS if 0.8 < m.ratio / s < 1.25), None)
             detail = (
-                f"object {m.obj_id}: depth {MM * m.depth:.4g} mm, pose "
-                f"{MM * m.nearest:.4g} to {MM * m.farthest:.4g} mm"
+                f"object {m.obj_id}: depth {1e3 * m.depth:.4g} mm, pose "
+                f"{1e3 * m.nearest:.4g} to {1e3 * m.farthest:.4g} mm"
             )
             if factor is not None:
                 findings.error(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import trimesh
@@ -10,8 +10,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from ..assets.surface_colours import sample_colours
-from .bop_fields import ROTATION_TOLERANCE
 from .bop_raw_models import RawModel
+from .data_checks_cameras import rigid_or_nan
 from .data_findings import Findings
 from .geometry import make_transform
 
@@ -120,14 +120,24 @@ def _check_symmetries(model: RawModel, mesh: trimesh.Trimesh, findings: Findings
             return
 
 
-def _check_listed(model, name, T, moved, findings) -> None:  # type: ignore[no-untyped-def]
+def _check_listed(
+    model: RawModel,
+    name: str,
+    T: np.ndarray,
+    moved: Callable[[np.ndarray], tuple[float, float]],
+    findings: Findings,
+) -> None:
     """Whether a listed symmetry is a motion that maps the object onto itself."""
     field = name.split(",")[0]
     if np.isnan(T).any():
+        if field == "symmetries_continuous":
+            findings.error(
+                model.info_path, field, "has no axis", detail=f"object {model.obj_id}, {name}",
+                remedy="give a direction and a point on the axis",
+            )  # fmt: skip
         return
     rotation = T[:3, :3]
-    error = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if error > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
+    if not rigid_or_nan(T[None])[0]:
         findings.error(
             model.info_path, field, "is not a rigid motion",
             detail=f"object {model.obj_id}, {name}: determinant {np.linalg.det(rotation):.3f}",

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from .bop_fields import MM, ROTATION_TOLERANCE
-from .bop_raw import RawScene, read_numbers, read_raw_json
+from .bop_raw import RawScene
 from .bop_raw_models import RawModel
+from .bop_raw_pairs import RawPair
+from .data_checks_cameras import rigid_or_nan
 from .data_findings import Findings, Place
 from .geometry import invert
 from .pose_mistakes import OPENGL
@@ -63,66 +62,6 @@ _WORLD_READINGS: tuple[Reading, ...] = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class RawPair:
-    """One entry of a file of pairs.
-
-    Attributes:
-        number: its place in the file.
-        scene_id: of its pictures.
-        first: the reference view.
-        second: the second view.
-        T_second_ref: (4, 4), metres; NaN where it is broken.
-        obj_ids: the objects that stood still.
-    """
-
-    number: int
-    scene_id: int
-    first: int
-    second: int
-    T_second_ref: np.ndarray
-    obj_ids: tuple[int, ...]
-
-
-def read_raw_pairs(path: Path, findings: Findings) -> list[RawPair]:
-    """All pairs of a file that can be read, in either form that `bop_pairs` knows."""
-    content = read_raw_json(path, (list, dict), findings)
-    recorded = isinstance(content, dict)
-    entries: Any = content.get("pairs") if isinstance(content, dict) else content
-    if content is None:
-        return []
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        findings.error(
-            path,
-            "pairs",
-            "must be a list of pairs",
-            remedy="see bop_writer.write_pairs for the form",
-        )
-        return []
-    places = [Place()] * len(entries)
-    T = np.tile(np.eye(4), (len(entries), 1, 1))
-    if recorded:
-        entries = [{"scene_id": content.get("scene_id")} | entry for entry in entries]
-        T = read_numbers(entries, "T_b_a_mm", 16, path, places, findings).reshape(-1, 4, 4)
-    else:
-        T[:, :3, :3] = read_numbers(entries, "cam_R_ref2second", 9, path, places, findings).reshape(
-            -1, 3, 3
-        )
-        T[:, :3, 3] = read_numbers(entries, "cam_t_ref2second", 3, path, places, findings)
-    T[:, :3, 3] /= MM
-    names = ("scene_id", *(("im_a", "im_b") if recorded else ("ref_image_id", "second_image_id")))
-    columns = [read_numbers(entries, name, 1, path, places, findings)[:, 0] for name in names]
-    pairs = []
-    for number, entry in enumerate(entries):
-        objects = entry.get("objects" if recorded else "baselines_deg")
-        if any(np.isnan(column[number]) for column in columns):
-            continue
-        ids = tuple(int(key) for key in objects or {} if str(key).isdigit())
-        scene_id, first, second = (int(column[number]) for column in columns)
-        pairs.append(RawPair(number, scene_id, first, second, T[number], ids))
-    return pairs
-
-
 def check_pairs(
     path: Path,
     pairs: Sequence[RawPair],
@@ -156,8 +95,7 @@ def check_pairs(
         T = pair.T_second_ref
         if np.isnan(T).any():
             continue
-        error = np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max()
-        if error > ROTATION_TOLERANCE or np.linalg.det(T[:3, :3]) < 0:
+        if not rigid_or_nan(T[None])[0]:
             findings.error(
                 path, "T_second_ref", "is not a rigid motion", place=place,
                 detail=f"{where}: determinant {np.linalg.det(T[:3, :3]):.3f}",
@@ -210,7 +148,7 @@ def check_world(scene: RawScene, believed: np.ndarray, findings: Findings) -> No
         believed: bool (N,), which annotations can be relied on.
         findings: are added to.
     """
-    known = ~np.isnan(scene.T_cam_world).any(axis=(1, 2))
+    known = ~np.isnan(scene.T_cam_world).any(axis=(1, 2)) & rigid_or_nan(scene.T_cam_world)
     if known.sum() < 2:
         return
     world = dict(zip(scene.image_id[known].tolist(), scene.T_cam_world[known], strict=True))

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from .bop_fields import MM, rigid
+from .bop_fields import rigid
 from .bop_raw import RawScene
 from .bop_raw_models import RawModel
 from .data_checks_boxes import check_mask
@@ -25,6 +25,7 @@ from .data_checks_projection import (
 from .data_findings import Findings, Place
 from .geometry import check_intrinsics
 from .projection_score import Evidence
+from .whole_pictures import is_whole
 
 
 @dataclass
@@ -62,7 +63,7 @@ class PictureCheck:
         """
         picture = scene.pictures.get(image_id)
         place = Place(scene.scene_id, image_id)
-        rgb = None if picture is None else self._open(picture, cv2.IMREAD_COLOR, "pixels", place)
+        rgb = None if picture is None else self._open(picture, cv2.IMREAD_COLOR, place)
         if picture is None or rgb is None:
             return 0, 0
         self.looked += 1
@@ -99,7 +100,7 @@ class PictureCheck:
         path = scene.folder / "mask_visib" / f"{rows.image_id[row]:06d}_{rows.index[row]:06d}.png"
         mask = None
         if path.is_file():
-            grey = self._open(path, cv2.IMREAD_GRAYSCALE, "pixels", place)
+            grey = self._open(path, cv2.IMREAD_GRAYSCALE, place)
             if grey is None:
                 return None
             mask = grey > 0
@@ -137,7 +138,7 @@ class PictureCheck:
         path = scene.depths.get(image_id)
         if path is None:
             return None
-        steps = self._open(path, cv2.IMREAD_UNCHANGED, "pixels", place)
+        steps = self._open(path, cv2.IMREAD_UNCHANGED, place)
         if steps is None:
             return None
         if steps.ndim != 2 or steps.dtype == np.uint8:
@@ -162,19 +163,20 @@ class PictureCheck:
                 remedy="remove it, or record it anew",
             )  # fmt: skip
             return None
-        scale = scene.depth_scale[np.flatnonzero(scene.image_id == image_id)[0]]
-        return steps * (scale / MM)
+        return scene.depth(image_id, steps)
 
-    def _open(self, path: Path, flags: int, name: str, place: Place) -> np.ndarray | None:
+    def _open(self, path: Path, flags: int, place: Place) -> np.ndarray | None:
         """A picture file, or None with a finding."""
+        picture = None
         try:
-            data = np.fromfile(path, dtype=np.uint8)
-            picture = cv2.imdecode(data, flags) if data.size else None
+            data = path.read_bytes()
+            if data and is_whole(data):
+                picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
         except (OSError, cv2.error):
-            picture = None
+            pass
         if picture is None:
             self.findings.error(
-                path, name, "cannot be read as a picture", place=place,
+                path, "pixels", "cannot be read as a picture", place=place,
                 detail=f"{path.stat().st_size} bytes" if path.exists() else "",
                 cause="truncated by a full disk or a broken download",
                 remedy="fetch or write it again",

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from .bop_fields import ROTATION_TOLERANCE
-from .bop_raw import RawScene
+from .bop_raw import UNKNOWN, RawScene
 from .bop_raw_models import RawModel
 from .data_findings import Findings
 
@@ -32,7 +32,7 @@ def check_poses(
     whole = ~np.isnan(T).any(axis=(1, 2))
     whole &= ~_wrong_rotations(scene, whole, findings)
     modelled = np.isin(rows.obj_id, list(models))
-    for row in np.flatnonzero((rows.obj_id >= 0) & ~modelled).tolist():
+    for row in np.flatnonzero((rows.obj_id != UNKNOWN) & ~modelled).tolist():
         if models:
             findings.error(
                 scene.gt_path, "obj_id", "the object has no model",

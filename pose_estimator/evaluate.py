@@ -13,7 +13,7 @@ import numpy as np
 from ..assets.object_model import ObjectModel
 from .bop import BopDataset, BopPair, read_dataset, read_depth, read_rgb
 from .estimate import PoseEstimate, Roi, roi_of_pose
-from .find_pairs import find_pairs
+from .find_pairs import PAIRS_FILE, find_pairs
 from .geometry import View
 from .metrics import add_or_add_s
 from .outcomes import Outcome, print_table, summarise
@@ -185,10 +185,13 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     estimator = load(config.method, config.weights, preset=config.preset, solver=config.solver)
     networks = estimator.networks
     dataset = read_dataset(root, config.split)
+    pairs = find_pairs(dataset, config.pairs)
+    if config.pairs is None and not (root / PAIRS_FILE).is_file():
+        print(f"{len(pairs)} pairs of views found from the poses of {root / config.split}")
     outcomes = evaluate_pairs(
         estimator,
         dataset,
-        find_pairs(dataset, config.pairs),
+        pairs,
         networks.objects,
         depth=config.method == "rgbd",
         truth_roi_scale=networks.features.config.roi_scale if config.roi == "truth" else None,

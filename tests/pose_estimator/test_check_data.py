@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -93,6 +94,12 @@ def every_pair(data: Path, change: Callable[[dict[str, Any]], None]) -> None:
 
 def truncate(path: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def flip_bit(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
 
 
 def first_pose(name: str, place: int, value: float) -> Callable[[Path], None]:
@@ -280,7 +287,7 @@ DAMAGES = {
         first_pose("cam_t_m2c", 1, float("nan")), "scene_gt.json", "cam_t_m2c", "NaN", count=1
     ),
     "infinite rotation": Damage(
-        first_pose("cam_R_m2c", 4, float("inf")), "scene_gt.json", "cam_R_m2c", "NaN or infinite"
+        first_pose("cam_R_m2c", 4, float("inf")), "scene_gt.json", "cam_R_m2c", "NaN, infinite"
     ),
     "eight numbers": Damage(
         set_key(f"{SCENE}/scene_gt.json", "1", 0, "cam_R_m2c", value=[1.0] * 8),
@@ -500,6 +507,21 @@ DAMAGES = {
         lambda d: every_camera(d, scaled("cam_t_w2c", 0.001)),
         "scene_camera.json", "cam_R_w2c, cam_t_w2c", "it is in metres", count=8,
     ),
+    "world is no rotation": Damage(
+        set_key(f"{SCENE}/scene_camera.json", "1", "cam_R_w2c", value=[2.0] * 9),
+        "scene_camera.json", "cam_R_w2c", "is not a rotation", count=1,
+    ),
+    "a bit of a picture turned": Damage(
+        lambda d: flip_bit(d / SCENE / "rgb/000001.png"),
+        "rgb/000001.png", "pixels", "cannot be read", count=1,
+    ),
+    "camera.json without a height": Damage(
+        set_key("camera.json", "height", value="tall"), "camera.json", "height", "must be a number"
+    ),
+    "pairs without objects": Damage(
+        lambda d: every_pair(d, lambda pair: pair.update(baselines_deg=[3, 4])),
+        "two_view_pairs.json", "baselines_deg", "must be objects", count=4,
+    ),
     "no scenes": Damage(
         lambda d: shutil.rmtree(d / "test"), "solids", "folder", "has no scenes"
     ),
@@ -534,6 +556,31 @@ def test_damage_is_named(case, data, capsys):
     assert damage.field in out and found[0]["problem"] in out and found[0]["remedy"] in out
     # One mistake is not to be drowned in its consequences.
     assert len(records) <= 5, said
+
+
+VALUES = (None, float("nan"), -1, 0, 1e300, 10**30, "x", [], {}, [[]], {"a": 1}, True, [None] * 9)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_value_in_a_wrong_place_is_too_much(seed, data):
+    """Any value of a JSON file, replaced by any other: findings, or none, but no failure."""
+    rng = random.Random(seed)
+    names = ("scene_gt.json", "scene_gt_info.json", "scene_camera.json")
+    files = [data / SCENE / name for name in names]
+    files += [data / name for name in ("models/models_info.json", "two_view_pairs.json")]
+    for _ in range(3):
+        with opened(rng.choice(files)) as content:
+            while True:
+                key = rng.choice(
+                    list(content) if isinstance(content, dict) else range(len(content))
+                )
+                inner = content[key]
+                if not isinstance(inner, list | dict) or not inner or rng.random() < 0.25:
+                    content[key] = rng.choice(VALUES)
+                    break
+                content = inner
+    code, records = check(data, "--images", "2")
+    assert code == int(any(r["severity"] == "error" for r in records))
 
 
 def test_many_equal_findings_are_one_row_with_the_first_places(data, capsys):
