@@ -84,11 +84,14 @@ class DepthCheck:
                 f"{1e3 * m.nearest:.4g} to {1e3 * m.farthest:.4g} mm"
             )
             if factor is not None:
+                way = f"divide depth_scale by {factor:g}"
+                if factor < 1:
+                    way = f"multiply depth_scale by {1 / factor:g}"
                 findings.error(
                     m.camera_path, "depth_scale", "depth maps disagree with the poses",
                     place=m.place, detail=detail,
                     cause=f"depth_scale is {factor:g} times what it must be",
-                    remedy=f"divide depth_scale by {factor:g}: it is the millimetres of one step",
+                    remedy=f"{way}: it is the millimetres of one step",
                 )  # fmt: skip
                 continue
             add = findings.error if most else findings.warning

@@ -73,7 +73,8 @@ def _check_masks(scene: RawScene, findings: Findings) -> None:
         if f"{image:06d}_{index:06d}.png" not in names:
             findings.error(
                 scene.gt_path, "mask_visib", "a mask is missing",
-                place=rows.place(scene.scene_id, row), remedy=RESTORE,
+                place=rows.place(scene.scene_id, row),
+                remedy="restore the file (masks are numbered by picture and annotation), or take "
+                "the annotation out of the JSON files",
                 detail=f"mask_visib/{image:06d}_{index:06d}.png is not there",
-                cause="masks are numbered by picture and place in the list of annotations",
             )  # fmt: skip

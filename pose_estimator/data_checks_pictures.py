@@ -40,6 +40,8 @@ class PictureCheck:
         suspects: projections that are not good.
         looked: how many pictures were looked at.
         projected: how many projections were compared.
+        set_aside: how many scenes have so many wrong projections that nothing is compared with
+            their poses.
     """
 
     models: Mapping[int, RawModel]
@@ -49,6 +51,7 @@ class PictureCheck:
     suspects: list[Projection] = field(default_factory=list)
     looked: int = 0
     projected: int = 0
+    set_aside: int = 0
 
     def look(self, scene: RawScene, image_id: int, whole: np.ndarray) -> tuple[int, int]:
         """Looks at one picture.

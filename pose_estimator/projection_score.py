@@ -13,6 +13,9 @@ from .overlay import Shape, silhouette
 _SIDE = 160
 """Pixels along the longer side of the window in which silhouettes are compared."""
 
+_FINEST = 4.0
+"""Window pixels for each of a picture: drawn triangles are wider than they are by half of one."""
+
 _LARGEST = 6.0
 """A projection that is so many times as long as what it should cover covers nothing."""
 
@@ -80,7 +83,7 @@ class Evidence:
     ) -> float:
         low = np.floor(np.minimum(box[:2], self.box[:2])) - 1
         high = np.ceil(np.maximum(box[2:], self.box[2:])) + 1
-        scale = min(1.0, _SIDE / max(high - low + 1))
+        scale = min(_FINEST, _SIDE / max(high - low + 1))
         across, down = (np.arange(n) for n in np.ceil((high - low + 1) * scale).astype(int))
         # The pixels of the picture under the middles of the window's pixels.
         u = np.round(low[0] + across / scale).astype(int)

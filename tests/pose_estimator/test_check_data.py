@@ -618,6 +618,14 @@ def test_wrong_projections_are_drawn_as_written_and_as_corrected(data, tmp_path,
             assert (yellow.sum() > least) == bool(least)
 
 
+def test_pairs_are_not_judged_by_poses_that_are_wrong_themselves(data, capsys):
+    every_pose(data, lambda R, t: (R.T, -R.T @ t))
+    every_pair(data, invert_pair)
+    _, records = check(data)
+    assert not any(r["field"] == "T_second_ref" for r in records)
+    assert "pairs of 2 scenes were not compared" in capsys.readouterr().out
+
+
 def test_pictures_and_scenes_are_sampled(data, capsys):
     assert check(data, "--images", "2")[0] == 0
     assert "looked at 2 pictures" in capsys.readouterr().out
