@@ -1,6 +1,7 @@
 """BOP files: what is written comes back, on disk it is BOP's, and broken files are named."""
 
 import json
+import shutil
 import subprocess
 import sys
 
@@ -292,3 +293,50 @@ def test_writing_refuses_what_reading_would(tmp_path):
 def test_reading_needs_no_torch():
     code = "import sys, two_view_pose.pose_estimator.bop_writer; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_without_descriptions_the_masks_tell(dataset):
+    root, frames = dataset
+    folder = root / "train_pbr" / "000003"
+    (folder / "scene_gt_info.json").unlink()
+    (folder / "mask").mkdir()
+    whole = np.zeros((48, 64), np.uint8)
+    whole[5:20, 10:50] = 255
+    cv2.imwrite(str(folder / "mask" / "000000_000000.png"), whole)
+    image = bop.read_dataset(root, "train_pbr").scene(3)[0]
+    for read, written in zip(image.annotations, frames[3][0].annotations, strict=True):
+        assert read.bbox_visib == written.bbox_visib
+        assert read.px_count_visib == written.px_count_visib
+        np.testing.assert_allclose(read.T_cam_obj, written.T_cam_obj, atol=1e-9)
+    first, second = image.annotations
+    assert first.visibility == 0.5 and first.bbox_obj == (10, 5, 39, 14)  # 20 of 40 columns
+    assert first.px_count_all == 600
+    assert second.visibility == 1.0 and second.bbox_obj == (-1, -1, -1, -1)
+
+
+def test_without_descriptions_and_masks_nothing_is_in_the_way(dataset):
+    root, _ = dataset
+    folder = root / "train_pbr" / "000003"
+    (folder / "scene_gt_info.json").unlink()
+    shutil.rmtree(folder / "mask_visib")
+    for annotation in bop.read_dataset(root, "train_pbr").scene(3)[0].annotations:
+        assert annotation.visibility == 1.0 and annotation.mask_visib_path is None
+        assert annotation.bbox_visib == annotation.bbox_obj == (-1, -1, -1, -1)
+        assert annotation.px_count_visib == annotation.px_count_all == -1
+
+
+def test_gray_pictures_and_pictures_without_annotations_are_read(dataset):
+    root, _ = dataset
+    folder = root / "train_pbr" / "000003"
+    (folder / "rgb").rename(folder / "gray")
+    for path in sorted((folder / "gray").iterdir()):
+        cv2.imwrite(str(path.with_suffix(".jpg")), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+        path.unlink()
+    for name in ("scene_gt.json", "scene_gt_info.json"):
+        content = json.loads((folder / name).read_text())
+        del content["1"]
+        (folder / name).write_text(json.dumps(content))
+    scene = bop.read_dataset(root, "train_pbr").scene(3)
+    assert sorted(scene) == [0, 1] and scene[1].annotations == ()
+    rgb = bop.read_rgb(scene[0])
+    assert rgb.shape == (48, 64, 3) and (rgb[..., 0] == rgb[..., 2]).all()
