@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 from two_view_pose.assets.object_model import ObjectModel
-from two_view_pose.pose_estimator import bop, bop_writer
+from two_view_pose.pose_estimator import bop, bop_models, bop_writer
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, make_transform
 
 
@@ -117,7 +117,7 @@ def test_files_hold_millimetres_and_plain_bop(dataset):
 
 def test_models_round_trip_and_load_with_their_texture(tmp_path):
     model = box_model()
-    bop_writer.write_models(tmp_path, [model, box_model(2, "brick")])
+    bop_models.write_models(tmp_path, [model, box_model(2, "brick")])
     infos = bop.read_models_info(tmp_path)
     info = infos[10]
     assert sorted(infos) == [2, 10] and info.name == "crate"
@@ -134,7 +134,7 @@ def test_models_round_trip_and_load_with_their_texture(tmp_path):
 
 def test_two_models_with_one_number_are_refused(tmp_path):
     with pytest.raises(ValueError, match="'crate' and 'brick' share the id 10"):
-        bop_writer.write_models(tmp_path, [box_model(), box_model(10, "brick")])
+        bop_models.write_models(tmp_path, [box_model(), box_model(10, "brick")])
 
 
 def test_continuous_symmetry_turns_about_its_axis(tmp_path):
