@@ -164,6 +164,20 @@ def test_pairs_round_trip(tmp_path):
     np.testing.assert_allclose(entry["cam_t_ref2second"], pair.T_second_ref[:3, 3] * 1000)
 
 
+def test_pairs_say_what_is_visible_where_they_know(tmp_path):
+    path = tmp_path / "two_view_pairs.json"
+    seen = {9: (0.5, 1.0), 1: (0.0, 0.25)}
+    pairs = [bop.BopPair(0, 0, 1, np.eye(4), {9: 2.0, 1: 3.0}, visib_fracts=v) for v in (seen, {})]
+    bop_writer.write_pairs(path, pairs)
+    assert [dict(pair.visib_fracts) for pair in bop.read_pairs(tmp_path)] == [seen, {}]
+    entries = json.loads(path.read_text())
+    assert entries[0]["visib_fracts"] == {"9": [0.5, 1.0], "1": [0.0, 0.25]}
+    assert "visib_fracts" not in entries[1]
+    path.write_text(json.dumps([entries[0] | {"visib_fracts": {"9": [0.5]}}]))
+    with pytest.raises(ValueError, match="pair 0: visible fractions: field '9' must be 2 finite"):
+        bop.read_pairs(path)
+
+
 def test_pairs_of_a_sequence_keep_their_gap(tmp_path):
     path = tmp_path / "two_view_pairs.json"
     pairs = [bop.BopPair(0, 3, 3 + gap, np.eye(4), {1: 2.0}, gap=gap) for gap in (1, 5, 10)]
