@@ -119,7 +119,7 @@ class SceneMaker:
                 depth = apply_depth_sensor(depth, self._K, DepthSensorConfig(), depth_rng)
             valid = None
             if depth is not None and config.layout == "full":
-                valid = [np.count_nonzero(whole & (depth > 0)) for whole in silhouettes]
+                valid = [int(np.count_nonzero(whole & (depth > 0))) for whole in silhouettes]
             if sensor is None:
                 rgb = apply_sensor(frame.rgb, randomization.sensor, rng)
             else:

@@ -1,10 +1,10 @@
 """Kills a run of ``generate`` again and again, and goes on with it, as a bad machine would.
 
 ``python tests/envs/kill_and_resume.py --kills 20`` renders a small dataset once, undisturbed. Then
-it renders it again, killed with SIGKILL at random moments: the whole group of processes, or the
-parent alone. After each kill, whatever stands under a final name must hold the bytes that it has in
-the undisturbed dataset. Whenever a run gets to its end, the two folders must be the same; then a
-new folder is begun, until all kills are done.
+it renders it again, killed with SIGKILL at random: after so many seconds, or when there are so many
+files; the whole group of processes, or the parent alone. After each kill, whatever stands under a
+final name must hold the bytes that it has in the undisturbed dataset. Whenever a run gets to its
+end, the two folders must be the same; then a new folder is begun, until all kills are done.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 
@@ -47,15 +48,17 @@ def kill_and_resume(root: Path, kills: int, scenes: int, workers: int, seed: int
     log = [f"undisturbed: {len(expected)} files in {duration:.1f} s"]
     done = 0
     while done < kills:
-        moment = rng.uniform(0, duration)
+        moment = _Moment(disturbed, seconds=rng.uniform(0, duration))
+        if rng.random() < 0.7:
+            moment = _Moment(disturbed, entries=rng.randint(_count(disturbed), _count(reference)))
         everyone = rng.random() < 0.5
         if _run(_command(disturbed, scenes, workers), moment, everyone) is None:
             done += 1
             whole, hidden = _check_what_is_there(disturbed, expected)
             who = "all processes" if everyone else "the parent"
             log.append(
-                f"kill {done}: {who} after {moment:.1f} s: {whole} of {len(expected)} files, all "
-                f"whole; {hidden} under temporary names"
+                f"kill {done}: {who} {moment}: {whole} of {len(expected)} files, all whole; "
+                f"{hidden} under temporary names"
             )
         else:
             log.append(_finished(disturbed, expected))
@@ -74,15 +77,44 @@ def _command(out: Path, scenes: int, workers: int) -> list[str]:
     return [*command, *options.split(), *sizes]
 
 
-def _run(command: Sequence[str], moment: float | None = None, everyone: bool = True) -> int | None:
-    """Runs a command; the exit code, or None if it was killed after ``moment`` seconds."""
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    with subprocess.Popen(command, start_new_session=True, **quiet) as process:  # type: ignore[call-overload]
-        try:
-            return process.wait(moment)
-        except subprocess.TimeoutExpired:
+@dataclass
+class _Moment:
+    """When to kill: after so many seconds, or when there are more files and folders than so many."""
+
+    folder: Path
+    seconds: float | None = None
+    entries: int = 0
+
+    def __str__(self) -> str:
+        if self.seconds is not None:
+            return f"after {self.seconds:.1f} s"
+        return f"at more than {self.entries} entries"
+
+    def has_come(self, passed: float) -> bool:
+        if self.seconds is not None:
+            return passed > self.seconds
+        return _count(self.folder) > self.entries
+
+
+def _run(
+    command: Sequence[str], moment: _Moment | None = None, everyone: bool = True
+) -> int | None:
+    """Runs a command; the exit code, or None if it was killed."""
+    start = time.monotonic()
+    null = subprocess.DEVNULL
+    process = subprocess.Popen(command, start_new_session=True, stdout=null, stderr=null)
+    while process.poll() is None:
+        if moment is not None and moment.has_come(time.monotonic() - start):
             (os.killpg if everyone else os.kill)(process.pid, signal.SIGKILL)
+            process.wait()
             return None
+        time.sleep(0.005)
+    return process.returncode
+
+
+def _count(folder: Path) -> int:
+    """Files and folders below a folder, those under temporary names too."""
+    return sum(len(folders) + len(files) for _, folders, files in os.walk(folder))
 
 
 def _files(folder: Path) -> dict[str, bytes]:
