@@ -79,7 +79,7 @@ def _command(out: Path, scenes: int, workers: int) -> list[str]:
 
 @dataclass
 class _Moment:
-    """When to kill: after so many seconds, or when there are more files and folders than so many."""
+    """When to kill: after so many seconds, or when there are more files and folders than that."""
 
     folder: Path
     seconds: float | None = None
