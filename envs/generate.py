@@ -79,7 +79,7 @@ class GenerateConfig:
     """Smallest and largest angle in degrees between the reference view and another, seen from the
     target."""
     pair_angles: tuple[float, float] = (10.0, 60.0)
-    """Angles in degrees of the pairs that two_view_pairs.json lists."""
+    """Views around the target: angles in degrees of the pairs that two_view_pairs.json lists."""
     depth: bool = False
     """Also write depth maps (16-bit PNG)."""
     depth_noise: bool = False

@@ -10,15 +10,13 @@ import numpy as np
 
 from ..pose_estimator.bop import BopImage, read_dataset, read_models_info
 from ..pose_estimator.bop_pairs import BopPair
+from ..pose_estimator.bop_targets import LEAST_VISIBLE
 from ..pose_estimator.geometry import invert
 from .scene_plan import ScenePlan, plan_scene
 from .view_spread import viewing_angle
 
 if TYPE_CHECKING:
     from .generate import GenerateConfig
-
-LEAST_VISIBLE = 0.1
-"""Visible fraction in the reference view from which on an object counts as a target, as in BOP."""
 
 
 def two_view_pairs(config: GenerateConfig) -> Iterator[BopPair]:

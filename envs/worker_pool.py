@@ -2,7 +2,7 @@
 
 A worker that has come to hold too much memory is replaced by a fresh one, and so is one that died;
 its scene is made again. Each worker is an executor of one process: a pool of several cannot replace
-one of them, and Python's own ``max_tasks_per_child`` hangs in versions before 3.15
+one of them, and Python's own ``max_tasks_per_child`` hangs in Python 3.11 and 3.12
 (https://github.com/python/cpython/issues/115634). A limit of memory is also what is meant: how much
 a scene leaves behind depends on the driver.
 """

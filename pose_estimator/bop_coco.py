@@ -15,19 +15,17 @@ import cv2
 import numpy as np
 
 from .bop_fields import read_json, required
+from .bop_targets import LEAST_VISIBLE
 from .bop_writer import bounding_box, write_json
 
 COCO_FILE = "scene_gt_coco.json"
-
-LEAST_VISIBLE = 0.1
-"""Objects of which less is visible are to be ignored, as in BOP."""
 
 
 def write_coco(folder: Path, obj_ids: Iterable[int]) -> None:
     """Writes ``scene_gt_coco.json`` of a scene that lies on the disk.
 
-    Objects of which nothing is visible are left out. No dates are written: the same scene gives
-    the same bytes.
+    Objects of which nothing is visible are left out; those of which too little is visible to be
+    targets are marked ``ignore``. No dates are written: the same scene gives the same bytes.
 
     Args:
         folder: the scene's, with ``mask`` and ``mask_visib``.
