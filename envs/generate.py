@@ -65,8 +65,9 @@ class GenerateConfig:
     """Same seed, same bytes; test data needs another seed than training data."""
     workers: int = 2
     """Processes that render."""
-    worker_memory: float = 4.0
-    """Gigabytes; a worker that holds more after a scene is replaced by a fresh one. 0: never."""
+    worker_memory: float = 2.0
+    """Gigabytes; a worker that holds more after a scene is replaced by a fresh one. 0: never. With
+    pictures of 640x480 a worker holds about half a gigabyte."""
     ray: str | None = None
     """Render on a Ray cluster: its address, such as "head:6379", or "local" for one of this
     machine with as many workers as --workers says. Needs `pip install two-view-pose[ray]`, and
