@@ -2,8 +2,8 @@
 
 The format is that of the BOP benchmark (Hodan et al., "BOP: Benchmark for 6D Object Pose
 Estimation", ECCV 2018; https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md).
-Files hold millimetres; this module and ``bop_writer`` are the only places that know it. Everything
-they return or take is in metres, in the OpenCV camera frame.
+Files hold millimetres; this module and those called ``bop_...`` beside it are the only places that
+know it. Everything they return or take is in metres, in the OpenCV camera frame.
 """
 
 from __future__ import annotations

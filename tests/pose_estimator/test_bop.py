@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 from two_view_pose.assets.object_model import ObjectModel
-from two_view_pose.pose_estimator import bop, bop_writer
+from two_view_pose.pose_estimator import bop, bop_models, bop_writer
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, make_transform
 
 
@@ -118,7 +118,7 @@ def test_files_hold_millimetres_and_plain_bop(dataset):
 
 def test_models_round_trip_and_load_with_their_texture(tmp_path):
     model = box_model()
-    bop_writer.write_models(tmp_path, [model, box_model(2, "brick")])
+    bop_models.write_models(tmp_path, [model, box_model(2, "brick")])
     infos = bop.read_models_info(tmp_path)
     info = infos[10]
     assert sorted(infos) == [2, 10] and info.name == "crate"
@@ -135,7 +135,7 @@ def test_models_round_trip_and_load_with_their_texture(tmp_path):
 
 def test_two_models_with_one_number_are_refused(tmp_path):
     with pytest.raises(ValueError, match="'crate' and 'brick' share the id 10"):
-        bop_writer.write_models(tmp_path, [box_model(), box_model(10, "brick")])
+        bop_models.write_models(tmp_path, [box_model(), box_model(10, "brick")])
 
 
 def test_continuous_symmetry_turns_about_its_axis(tmp_path):
@@ -163,6 +163,20 @@ def test_pairs_round_trip(tmp_path):
     assert read.gap is None
     entry = json.loads((tmp_path / "two_view_pairs.json").read_text())[0]
     np.testing.assert_allclose(entry["cam_t_ref2second"], pair.T_second_ref[:3, 3] * 1000)
+
+
+def test_pairs_say_what_is_visible_where_they_know(tmp_path):
+    path = tmp_path / "two_view_pairs.json"
+    seen = {9: (0.5, 1.0), 1: (0.0, 0.25)}
+    pairs = [bop.BopPair(0, 0, 1, np.eye(4), {9: 2.0, 1: 3.0}, visib_fracts=v) for v in (seen, {})]
+    bop_writer.write_pairs(path, pairs)
+    assert [dict(pair.visib_fracts) for pair in bop.read_pairs(tmp_path)] == [seen, {}]
+    entries = json.loads(path.read_text())
+    assert entries[0]["visib_fracts"] == {"9": [0.5, 1.0], "1": [0.0, 0.25]}
+    assert "visib_fracts" not in entries[1]
+    path.write_text(json.dumps([entries[0] | {"visib_fracts": {"9": [0.5]}}]))
+    with pytest.raises(ValueError, match="pair 0: visible fractions: field '9' must be 2 finite"):
+        bop.read_pairs(path)
 
 
 def test_pairs_of_a_sequence_keep_their_gap(tmp_path):
