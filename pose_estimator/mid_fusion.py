@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from .agreement import agree, explain, believable, joint_pose
+from .agreement import agree, believable, explain, joint_pose
 from .estimate import PoseEstimate
 from .frontend import EncodedView
 from .geometry import invert, transform
