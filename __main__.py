@@ -47,6 +47,11 @@ VERBS = {
         "pose_estimator.cut_and_paste_command:cut_and_paste",
         "puts pictures together from objects cut out of a BOP data set",
     ),
+    "check-data": Verb(
+        "pose_estimator.check_data:CheckDataConfig",
+        "pose_estimator.check_data:check_data",
+        "finds the usual mistakes in a BOP data set",
+    ),
     "train-estimator": Verb(
         "pose_estimator.training_config:TrainEstimatorConfig",
         "pose_estimator.training:train_estimator",

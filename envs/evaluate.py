@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 from ..pose_estimator.evaluate import EvaluateConfig, evaluate_dataset
+from ..pose_estimator.find_dataset import find_dataset
 from .generate import GenerateConfig, generate
 
 
@@ -17,7 +18,8 @@ def evaluate(config: EvaluateConfig) -> None:
         FileNotFoundError: if the weights or the dataset are missing.
     """
     if config.data is not None:
-        evaluate_dataset(config, config.data, {"dataset": config.data.name})
+        root = find_dataset(config.data)
+        evaluate_dataset(config, root, {"dataset": root.name})
         return
     with tempfile.TemporaryDirectory() as scratch:
         root = config.keep or Path(scratch) / "scenes"
@@ -32,6 +34,7 @@ def evaluate(config: EvaluateConfig) -> None:
                 view_angles=(10.0, 60.0),
                 jpeg_quality=0,
                 masks=False,
+                layout="basic",
                 depth=config.method == "rgbd",
                 depth_noise=config.method == "rgbd",
             )

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..pose_estimator.bop import BopImage, read_dataset, read_models_info
 from ..pose_estimator.bop_pairs import BopPair
+from ..pose_estimator.bop_targets import LEAST_VISIBLE
 from ..pose_estimator.geometry import invert
 from .scene_plan import ScenePlan, plan_scene
 from .view_spread import viewing_angle
@@ -17,16 +18,13 @@ from .view_spread import viewing_angle
 if TYPE_CHECKING:
     from .generate import GenerateConfig
 
-LEAST_VISIBLE = 0.1
-"""Visible fraction in the reference view from which on an object counts as a target, as in BOP."""
-
 
 def two_view_pairs(config: GenerateConfig) -> Iterator[BopPair]:
     """The pairs (reference view, further view) of the written scenes.
 
     Views around the sphere: the pairs whose angle at the target lies within ``config.pair_angles``.
-    Hand-held sequences: the pairs of the gaps, one entry for each target that the reference view
-    shows; all objects of a heap are targets.
+    Hand-held sequences and stereo rigs: the pairs of the gaps, or of left and right, one entry for
+    each target that the reference view shows; all objects of a heap are targets.
     """
     infos = read_models_info(config.out)
     obj_ids = {str(info.name): obj_id for obj_id, info in infos.items()}
@@ -37,12 +35,15 @@ def two_view_pairs(config: GenerateConfig) -> Iterator[BopPair]:
         target = obj_ids[plan.target]
         for first, second in plan.pairs:
             pair = _pair(images[first], images[second], target)
-            if plan.length is None:
+            if config.layout == "full":
+                pair = replace(pair, visib_fracts=_visibility(images[first], images[second]))
+            if plan.length is None and not plan.stereo:
                 if config.pair_angles[0] <= pair.baseline_deg <= config.pair_angles[1]:
                     yield pair
                 continue
             for obj_id in _targets(plan, images[first], target):
-                yield replace(pair, target_obj_id=obj_id, gap=second - first)
+                gap = None if plan.stereo else second - first
+                yield replace(pair, target_obj_id=obj_id, gap=gap)
 
 
 def _targets(plan: ScenePlan, reference: BopImage, target: int) -> list[int]:
@@ -51,6 +52,14 @@ def _targets(plan: ScenePlan, reference: BopImage, target: int) -> list[int]:
         for a in reference.annotations
         if a.visibility >= LEAST_VISIBLE and (plan.kind == "heap" or a.obj_id == target)
     ]
+
+
+def _visibility(first: BopImage, second: BopImage) -> dict[int, tuple[float, float]]:
+    """Visible fractions of each object in both views; a picture lists all objects of its scene."""
+    return {
+        a.obj_id: (a.visibility, b.visibility)
+        for a, b in zip(first.annotations, second.annotations, strict=True)
+    }
 
 
 def _pair(first: BopImage, second: BopImage, target: int) -> BopPair:

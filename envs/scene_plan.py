@@ -1,7 +1,8 @@
 """What each scene of a generated dataset is: its kind, its target, its pictures and their pairs.
 
-A scene's pictures are either views spread over the sphere around its target, the first of them the
-reference view, or frames of a hand-held camera's sequence, several of which are reference views.
+A scene's pictures are views spread over the sphere around its target, the first of them the
+reference view, or those of a stereo rig that goes round it, or frames of a hand-held camera's
+sequence, several of which are reference views.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from .stereo import rig_pairs
 
 if TYPE_CHECKING:
     from .generate import GenerateConfig
@@ -29,6 +32,7 @@ class ScenePlan:
         length: frames of the sequence; None where views are spread over the sphere.
         frames: numbers of the frames that become pictures, ascending.
         pairs: reference view and second view, by number.
+        stereo: whether the pictures are a rig's, left and right by turns.
     """
 
     kind: str
@@ -36,6 +40,7 @@ class ScenePlan:
     length: int | None
     frames: tuple[int, ...]
     pairs: tuple[tuple[int, int], ...]
+    stereo: bool = False
 
 
 def plan_scene(config: GenerateConfig, scene_id: int, names: Sequence[str]) -> ScenePlan:
@@ -44,6 +49,9 @@ def plan_scene(config: GenerateConfig, scene_id: int, names: Sequence[str]) -> S
     kinds = TURNS.get(config.scene, (config.scene,))
     turn = scene_id // len(names)
     kind = kinds[turn % len(kinds)]
+    if config.sampling == "stereo":
+        frames = tuple(range(config.views))
+        return ScenePlan(kind, target, None, frames, rig_pairs(config.views), stereo=True)
     hand_held = config.sampling == "hand-held"
     length, references = config.views, config.references
     if config.sampling == "mixed":

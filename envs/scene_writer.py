@@ -10,7 +10,14 @@ import numpy as np
 from ..assets import load_objects
 from ..assets.object_model import ObjectModel
 from ..pose_estimator.bop import BopAnnotation
-from ..pose_estimator.bop_writer import NO_BOX, BopFrame, bounding_box, write_scene
+from ..pose_estimator.bop_coco import COCO_FILE, write_coco
+from ..pose_estimator.bop_writer import (
+    NO_BOX,
+    BopFrame,
+    bounding_box,
+    scene_folder,
+    write_scene,
+)
 from ..pose_estimator.geometry import (
     LINEMOD_IMAGE_SIZE,
     LINEMOD_K,
@@ -18,6 +25,8 @@ from ..pose_estimator.geometry import (
     transform,
 )
 from .camera import CameraRange
+from .checksums import SUMS_FILE, write_sums
+from .dataset_folder import remove_leftovers
 from .depth_sensor import DepthSensorConfig, apply_depth_sensor
 from .randomization import Randomization
 from .renderer import SceneRenderer
@@ -25,6 +34,7 @@ from .scene import Scene, SceneConfig, SceneState
 from .scene_plan import ScenePlan, plan_scene
 from .sensor import SensorState, apply_sensor
 from .sequence import CENTRE_JITTER, draw_path
+from .stereo import rig_frames
 from .view_spread import spread_views
 
 if TYPE_CHECKING:
@@ -46,11 +56,23 @@ class SceneMaker:
         self._K = scaled_intrinsics(config.height, config.width)
 
     def make(self, scene_id: int) -> None:
-        """Renders scene ``scene_id`` and writes its folder."""
+        """Renders scene ``scene_id`` where that is not done, and adds what it lacks.
+
+        The list of checksums is written last: a scene that has one is finished.
+        """
         config = self._config
-        rng = np.random.default_rng(np.random.SeedSequence([config.seed, scene_id]))
-        frames = self._frames(plan_scene(config, scene_id, tuple(self._objects)), rng)
-        write_scene(config.out, config.split, scene_id, frames, config.jpeg_quality or None)
+        folder = scene_folder(config.out, config.split, scene_id)
+        if not folder.exists():
+            rng = np.random.default_rng(np.random.SeedSequence([config.seed, scene_id]))
+            frames = self._frames(plan_scene(config, scene_id, tuple(self._objects)), rng)
+            write_scene(config.out, config.split, scene_id, frames, config.jpeg_quality or None)
+        elif is_finished(config, scene_id):
+            return
+        remove_leftovers(folder)
+        if config.coco and not (folder / COCO_FILE).exists():
+            (folder / SUMS_FILE).unlink(missing_ok=True)
+            write_coco(folder, [model.obj_id for model in self._objects.values()])
+        write_sums(folder)
 
     def close(self) -> None:
         """Frees the GL contexts."""
@@ -77,21 +99,27 @@ class SceneMaker:
         (depth_rng,) = rng.spawn(1)  # its own: depth changes nothing else
         state = scene.reset(rng, plan.target)
         path = self._path(scene, state, plan, rng)
-        # The frames of a sequence come from one camera.
-        sensor = SensorState.draw(randomization.sensor, rng) if plan.length is not None else None
+        # The frames of a sequence come from one camera, those of a rig from two that are alike.
+        alike = plan.length is not None or plan.stereo
+        sensor = SensorState.draw(randomization.sensor, rng) if alike else None
         for image_id in plan.frames:
             T_cam_world = path[image_id]
             frame = renderer.render(T_cam_world, self._K, depth=config.depth, masks=True)
             assert frame.instances is not None
-            annotations, masks = [], []
+            annotations, masks, silhouettes = [], [], []
             for index, name in enumerate(frame.object_names):
                 mask = frame.instances == index
                 T_cam_obj = T_cam_world @ state.T_world_obj[name]
-                annotations.append(self._annotate(scene, name, mask, T_cam_world, T_cam_obj))
+                annotation, whole = self._annotate(scene, name, mask, T_cam_world, T_cam_obj)
+                annotations.append(annotation)
                 masks.append(mask)
+                silhouettes.append(whole)
             depth = frame.depth
             if depth is not None and config.depth_noise:
                 depth = apply_depth_sensor(depth, self._K, DepthSensorConfig(), depth_rng)
+            valid = None
+            if depth is not None and config.layout == "full":
+                valid = [int(np.count_nonzero(whole & (depth > 0))) for whole in silhouettes]
             if sensor is None:
                 rgb = apply_sensor(frame.rgb, randomization.sensor, rng)
             else:
@@ -104,6 +132,8 @@ class SceneMaker:
                 masks=masks if config.masks else None,
                 depth=depth,
                 image_id=image_id,
+                silhouettes=silhouettes if config.masks and config.layout == "full" else None,
+                px_counts_valid=valid,
             )
 
     def _path(
@@ -117,9 +147,10 @@ class SceneMaker:
             return list(draw_path(scene, rng, plan.length, cameras))
         centre = state.T_world_obj[plan.target][:3, 3] + rng.normal(0.0, CENTRE_JITTER, 3)
         low, high = np.deg2rad(self._config.view_angles)
-        count = self._config.views - 1
-        views = spread_views(rng, state.T_cam_world, centre, count, (low, high), cameras)
-        return [state.T_cam_world, *views]
+        count = self._config.views // 2 if plan.stereo else self._config.views
+        views = spread_views(rng, state.T_cam_world, centre, count - 1, (low, high), cameras)
+        views = [state.T_cam_world, *views]
+        return rig_frames(views, self._config.stereo_baseline) if plan.stereo else views
 
     def _annotate(
         self,
@@ -128,12 +159,15 @@ class SceneMaker:
         mask: np.ndarray,
         T_cam_world: np.ndarray,
         T_cam_obj: np.ndarray,
-    ) -> BopAnnotation:
-        """The silhouette is drawn alone, in a window that also reaches beyond the picture."""
+    ) -> tuple[BopAnnotation, np.ndarray]:
+        """An object's annotation, and its silhouette within the picture, bool (H, W).
+
+        The silhouette is drawn alone, in a window that also reaches beyond the picture.
+        """
         model = self._objects[name]
         visible = int(np.count_nonzero(mask))
         left, top, width, height = silhouette_window(model, T_cam_obj, self._K, mask.shape)
-        whole, box = visible, bounding_box(mask)
+        whole, box, inside = visible, bounding_box(mask), mask
         if width > 0 and height > 0:
             window_K = self._K - [[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]]
             geom = scene.world.object_geoms[scene.world.object_names.index(name)]
@@ -141,7 +175,8 @@ class SceneMaker:
             x, y, *size = bounding_box(alone)
             box = NO_BOX if (x, y, *size) == NO_BOX else (x + left, y + top, size[0], size[1])
             whole = max(whole, int(np.count_nonzero(alone)))
-        return BopAnnotation(
+            inside = mask | _moved(alone, left, top, mask.shape)
+        annotation = BopAnnotation(
             obj_id=model.obj_id,
             T_cam_obj=T_cam_obj,
             visibility=visible / whole if whole else 0.0,
@@ -150,6 +185,23 @@ class SceneMaker:
             px_count_visib=visible,
             px_count_all=whole,
         )
+        return annotation, inside
+
+
+def is_finished(config: GenerateConfig, scene_id: int) -> bool:
+    """Whether a scene lies on the disk with all that belongs to it."""
+    folder = scene_folder(config.out, config.split, scene_id)
+    wanted = (SUMS_FILE, COCO_FILE) if config.coco else (SUMS_FILE,)
+    return all((folder / name).exists() for name in wanted)
+
+
+def _moved(window: np.ndarray, left: int, top: int, shape: tuple[int, ...]) -> np.ndarray:
+    """What of a window, bool (h, w), lies in a picture of ``shape`` (H, W)."""
+    picture = np.zeros(shape, dtype=bool)
+    bottom, right = top + window.shape[0], left + window.shape[1]
+    part = window[max(0, -top) : max(0, shape[0] - top), max(0, -left) : max(0, shape[1] - left)]
+    picture[max(0, top) : max(0, bottom), max(0, left) : max(0, right)] = part
+    return picture
 
 
 def silhouette_window(

@@ -23,10 +23,11 @@ TRAINING_SET = GenerateConfig(
     sampling="mixed",
     depth=True,
     seed=7001,
+    layout="basic",
 )
 """Views around the sphere and frames of hand-held sequences by turns, so that baselines of all
 sizes are trained. As a command: ``generate --out training --scenes 3120 --views 4 --scene all
---sampling mixed --depth --seed 7001``."""
+--sampling mixed --depth --seed 7001 --layout basic``."""
 
 _LINEMOD = GenerateConfig(
     out=Path("linemod"),
@@ -41,6 +42,7 @@ _LINEMOD = GenerateConfig(
     depth_noise=True,
     masks=False,
     jpeg_quality=95,
+    layout="basic",
 )
 
 _OCCLUSION = replace(

@@ -23,6 +23,10 @@ from .triangulation import triangulate
 _LARGEST_ERROR = 8.0
 """Reprojection error in grid pixels from which a keypoint counts as plainly wrong."""
 
+_FARTHEST_OFF = 1.5
+"""Factor between the depths of a fused pose and of the one before it from which the fused one is
+not believed."""
+
 
 def agree(
     encoded: Sequence[EncodedView], model: ObjectModel
@@ -84,10 +88,18 @@ def joint_pose(
     """
     starts = [first.T_cam_obj, solve_pose(model.keypoints, points, model.diameter)]
     T = explain(encoded, model, starts)
-    centre = transform(T, model.keypoints[-1])
-    if not np.isfinite(centre).all() or not 0.1 < centre[2] < 10:
-        return first.T_cam_obj
-    return T
+    return T if believable(T, first, model) else first.T_cam_obj
+
+
+def believable(T_cam_obj: np.ndarray, first: PoseEstimate, model: ObjectModel) -> bool:
+    """Whether a fused pose has the object at a depth like that of the best pose before it.
+
+    Views that show different things, as where the detector was wrong in one of them, can be
+    explained together by an object that is metres away.
+    """
+    depth = float(transform(T_cam_obj, model.keypoints[-1])[2])
+    before = float(transform(first.T_cam_obj, model.keypoints[-1])[2])
+    return bool(before / _FARTHEST_OFF < depth < before * _FARTHEST_OFF)
 
 
 def explain(

@@ -2,8 +2,8 @@
 
 The format is that of the BOP benchmark (Hodan et al., "BOP: Benchmark for 6D Object Pose
 Estimation", ECCV 2018; https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md).
-Files hold millimetres; this module and ``bop_writer`` are the only places that know it. Everything
-they return or take is in metres, in the OpenCV camera frame.
+Files hold millimetres; this module and those called ``bop_...`` beside it are the only places that
+know it. Everything they return or take is in metres, in the OpenCV camera frame.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .bop_fields import MM, array, integer, read_json, required, rigid, transforms
+from .bop_info import info_from_masks
 from .bop_pairs import BopPair as BopPair
 from .bop_pairs import read_pairs as read_pairs
 from .geometry import check_intrinsics
@@ -46,6 +47,8 @@ class BopAnnotation:
         px_count_visib: visible pixels.
         px_count_all: pixels of the whole silhouette, also those outside of the picture.
         mask_visib_path: mask of the visible pixels, where the dataset has masks.
+
+    Where the dataset has no ``scene_gt_info.json``, ``bop_info`` says what stands in for it.
     """
 
     obj_id: int
@@ -223,20 +226,23 @@ def _read_scene(folder: Path, scene_id: int) -> dict[int, BopImage]:
     poses: dict[str, Any] = {}
     if (folder / "scene_gt.json").exists():
         poses = read_json(folder / "scene_gt.json", dict)
-    infos = read_json(folder / "scene_gt_info.json", dict) if poses else {}
+    described = folder / "scene_gt_info.json"
+    infos = read_json(described, dict) if described.exists() else info_from_masks(folder, poses)
     if stray := poses.keys() - cameras.keys():
         raise ValueError(
             f"{folder / 'scene_gt.json'}: image {min(stray)} is not in scene_camera.json"
         )
     annotations = _read_annotations(folder, poses, infos)
-    pictures, depths = _numbered(folder / "rgb"), _numbered(folder / "depth")
+    # Datasets of monochrome cameras, such as ITODD, have `gray` in the place of `rgb`.
+    rgb = folder / "rgb" if (folder / "rgb").is_dir() else folder / "gray"
+    pictures, depths = numbered(rgb), numbered(folder / "depth")
 
     images = {}
     for key in sorted(cameras, key=int):
         camera, image_id = cameras[key], integer(key, str(folder / "scene_camera.json"))
         where = f"{folder / 'scene_camera.json'}: image {key}"
         if image_id not in pictures:
-            raise ValueError(f"{where} has no picture in {folder / 'rgb'}")
+            raise ValueError(f"{where} has no picture in {rgb}")
         K = array([camera], "cam_K", 9, [where]).reshape(3, 3)
         T_cam_world = None
         if "cam_R_w2c" in camera or "cam_t_w2c" in camera:
@@ -330,8 +336,8 @@ def _symmetries(entry: Mapping[str, Any], where: str) -> np.ndarray:
     return np.stack(found)
 
 
-def _numbered(folder: Path) -> dict[int, Path]:
-    """The pictures of a folder by their number."""
+def numbered(folder: Path) -> dict[int, Path]:
+    """The pictures of a folder by their number; PNG, JPEG or TIFF."""
     if not folder.is_dir():
         return {}
     suffixes = (".png", ".jpg", ".jpeg", ".tif")

@@ -25,6 +25,8 @@ class BopPair:
             from it to the cameras.
         target_obj_id: the object that the pair was made for, or None.
         gap: frames from one to the other where both belong to one sequence, or None.
+        visib_fracts: for each object, its visible fractions in the reference view and in the
+            second, 0 to 1; empty where the file does not say.
     """
 
     scene_id: int
@@ -34,6 +36,7 @@ class BopPair:
     baselines_deg: Mapping[int, float] = field(default_factory=dict)
     target_obj_id: int | None = None
     gap: int | None = None
+    visib_fracts: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def obj_ids(self) -> tuple[int, ...]:
@@ -78,6 +81,7 @@ def read_pairs(path: str | Path) -> tuple[BopPair, ...]:
             baselines_deg=_baselines(required(entry, "baselines_deg", place), place),
             target_obj_id=entry.get("target_obj_id"),
             gap=_gap(entry, place),
+            visib_fracts=_visib_fracts(entry.get("visib_fracts", {}), place),
         )
         for entry, place, T in zip(content, places, moves, strict=True)
     )
@@ -121,4 +125,14 @@ def _gap(entry: Mapping[str, Any], where: str) -> int | None:
 def _baselines(entry: Mapping[str, Any], where: str) -> dict[int, float]:
     return {
         integer(k, where): float(array([entry], k, 1, [f"{where}: baseline"])[0, 0]) for k in entry
+    }
+
+
+def _visib_fracts(entry: Mapping[str, Any], where: str) -> dict[int, tuple[float, float]]:
+    """The optional field ``visib_fracts``."""
+    place = f"{where}: visible fractions"
+    return {
+        integer(key, where): (float(both[0]), float(both[1]))
+        for key in entry
+        for both in array([entry], key, 2, [place])
     }

@@ -1,4 +1,4 @@
-"""Writing BOP datasets: scenes, models, pairs. See ``bop`` for the records and the reading.
+"""Writing BOP datasets: scenes, camera, pairs. See ``bop`` for the records and the reading.
 
 Files appear under their final name only when they are whole: a scene folder is written under a
 temporary name and renamed, so that a killed run leaves nothing that looks finished.
@@ -15,9 +15,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-import trimesh
 
-from ..assets.object_model import ObjectModel
 from .bop import BopAnnotation, Box
 from .bop_fields import MM
 from .bop_pairs import BopPair
@@ -43,6 +41,9 @@ class BopFrame:
         masks: bool (H, W) masks of the visible pixels in the annotations' order, or None.
         depth: metres, float (H, W), 0 where there is none; or None.
         image_id: its number in the scene; None takes its place among the frames.
+        silhouettes: bool (H, W) masks of the whole objects, hidden parts too, in the annotations'
+            order, or None.
+        px_counts_valid: pixels of each silhouette that have depth; None for all of them.
     """
 
     rgb: np.ndarray
@@ -52,6 +53,8 @@ class BopFrame:
     masks: Sequence[np.ndarray] | None = None
     depth: np.ndarray | None = None
     image_id: int | None = None
+    silhouettes: Sequence[np.ndarray] | None = None
+    px_counts_valid: Sequence[int] | None = None
 
 
 def scene_folder(root: str | Path, split: str, scene_id: int) -> Path:
@@ -97,7 +100,7 @@ def write_scene(
         _write_pixels(partial, image_id, frame, jpeg_quality, name)
         cameras[str(image_id)] = _camera_entry(frame, name)
         poses[str(image_id)] = [_pose_entry(a, name) for a in frame.annotations]
-        infos[str(image_id)] = [_info_entry(a) for a in frame.annotations]
+        infos[str(image_id)] = _info_entries(frame)
     write_json(partial / "scene_camera.json", cameras)
     write_json(partial / "scene_gt.json", poses)
     write_json(partial / "scene_gt_info.json", infos)
@@ -114,35 +117,14 @@ def write_camera(root: str | Path, K: np.ndarray, image_size: tuple[int, int]) -
     write_json(Path(root) / "camera.json", {k: float(v) for k, v in names.items()} | camera)
 
 
-def write_models(root: str | Path, objects: Iterable[ObjectModel], folder: str = "models") -> None:
-    """Writes textured PLY files in millimetres, and ``models_info.json``.
-
-    The file says each object's name beside BOP's own fields.
-
-    Raises:
-        ValueError: if two objects share a number.
-    """
-    target = Path(root) / folder
-    target.mkdir(parents=True, exist_ok=True)
-    infos: dict[str, Any] = {}
-    for model in objects:
-        if str(model.obj_id) in infos:
-            other = infos[str(model.obj_id)]["name"]
-            raise ValueError(f"objects {other!r} and {model.name!r} share the id {model.obj_id}")
-        stem = f"obj_{model.obj_id:06d}"
-        _encode(target / f"{stem}.png", model.texture[..., ::-1], [])
-        _write_ply(target / f"{stem}.ply", model, f"{stem}.png")
-        infos[str(model.obj_id)] = _model_entry(model)
-    write_json(target / "models_info.json", infos)
-
-
 def write_pairs(path: str | Path, pairs: Iterable[BopPair]) -> None:
     """Writes two-view pairs as a JSON list, in a form like BOP's scene files.
 
     Each entry: ``scene_id``, ``ref_image_id``, ``second_image_id``, ``target_obj_id``,
     ``gap`` (frames between, where both are of one sequence), ``baseline_deg`` (at the target),
-    ``baselines_deg`` (obj_id -> degrees), ``cam_R_ref2second`` (9 numbers, row by row),
-    ``cam_t_ref2second`` (millimetres).
+    ``baselines_deg`` (obj_id -> degrees), ``visib_fracts`` (obj_id -> visible fractions in the
+    reference and in the second view, where they are known), ``cam_R_ref2second`` (9 numbers, row
+    by row), ``cam_t_ref2second`` (millimetres).
     """
     entries = []
     for pair in pairs:
@@ -156,11 +138,18 @@ def write_pairs(path: str | Path, pairs: Iterable[BopPair]) -> None:
                 **({} if pair.gap is None else {"gap": int(pair.gap)}),
                 "baseline_deg": pair.baseline_deg,
                 "baselines_deg": {str(k): float(v) for k, v in pair.baselines_deg.items()},
+                **_visibility_field(pair),
                 "cam_R_ref2second": T[:3, :3].ravel().tolist(),
                 "cam_t_ref2second": (T[:3, 3] * MM).tolist(),
             }
         )
     write_json(Path(path), entries)
+
+
+def _visibility_field(pair: BopPair) -> dict[str, dict[str, list[float]]]:
+    if not pair.visib_fracts:
+        return {}
+    return {"visib_fracts": {str(k): [*map(float, v)] for k, v in pair.visib_fracts.items()}}
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -201,18 +190,29 @@ def _write_pixels(
         (folder / "depth").mkdir(exist_ok=True)
         steps = np.clip(np.round(frame.depth * (MM / DEPTH_SCALE)), 0, 65535).astype(np.uint16)
         _encode(folder / "depth" / f"{image_id:06d}.png", steps, [])
-    if frame.masks is not None:
-        if len(frame.masks) != len(frame.annotations) or any(m.shape != shape for m in frame.masks):
-            raise ValueError(
-                f"masks of {name} must be {len(frame.annotations)} (one an annotation) of shape "
-                f"{shape}, got {[m.shape for m in frame.masks]}"
-            )
-        (folder / "mask_visib").mkdir(exist_ok=True)
-        # One bit a pixel: a tenth of the time and a quarter of the bytes. Readers see 0 and 255.
-        options = [cv2.IMWRITE_PNG_BILEVEL, 1, cv2.IMWRITE_PNG_COMPRESSION, 1]
-        for i, mask in enumerate(frame.masks):
-            path = folder / "mask_visib" / f"{image_id:06d}_{i:06d}.png"
-            _encode(path, mask.astype(np.uint8) * 255, options)
+    for kind, masks in (("mask_visib", frame.masks), ("mask", frame.silhouettes)):
+        if masks is not None:
+            _write_masks(folder / kind, image_id, masks, len(frame.annotations), shape, name)
+
+
+def _write_masks(
+    folder: Path,
+    image_id: int,
+    masks: Sequence[np.ndarray],
+    count: int,
+    shape: tuple[int, ...],
+    name: str,
+) -> None:
+    if len(masks) != count or any(mask.shape != shape for mask in masks):
+        raise ValueError(
+            f"masks of {name} must be {count} (one an annotation) of shape {shape}, "
+            f"got {[mask.shape for mask in masks]}"
+        )
+    folder.mkdir(exist_ok=True)
+    # One bit a pixel: a tenth of the time and a quarter of the bytes. Readers see 0 and 255.
+    options = [cv2.IMWRITE_PNG_BILEVEL, 1, cv2.IMWRITE_PNG_COMPRESSION, 1]
+    for i, mask in enumerate(masks):
+        _encode(folder / f"{image_id:06d}_{i:06d}.png", mask.astype(np.uint8) * 255, options)
 
 
 def _camera_entry(frame: BopFrame, name: str) -> dict[str, Any]:
@@ -233,38 +233,21 @@ def _pose_entry(annotation: BopAnnotation, name: str) -> dict[str, Any]:
     }
 
 
-def _info_entry(annotation: BopAnnotation) -> dict[str, Any]:
-    return {
-        "bbox_obj": [int(v) for v in annotation.bbox_obj],
-        "bbox_visib": [int(v) for v in annotation.bbox_visib],
-        "px_count_all": int(annotation.px_count_all),
-        "px_count_valid": int(annotation.px_count_all),
-        "px_count_visib": int(annotation.px_count_visib),
-        "visib_fract": float(annotation.visibility),
-    }
-
-
-def _model_entry(model: ObjectModel) -> dict[str, Any]:
-    minimum, extents = model.vertices.min(axis=0) * MM, model.extents * MM
-    entry: dict[str, Any] = {"name": model.name, "diameter": model.diameter * MM}
-    entry |= {f"min_{axis}": float(v) for axis, v in zip("xyz", minimum, strict=True)}
-    entry |= {f"size_{axis}": float(v) for axis, v in zip("xyz", extents, strict=True)}
-    if model.symmetric:
-        symmetries = np.array(model.symmetries[1:], dtype=np.float64)
-        symmetries[:, :3, 3] *= MM
-        entry["symmetries_discrete"] = symmetries.reshape(-1, 16).tolist()
-    return entry
-
-
-def _write_ply(path: Path, model: ObjectModel, texture: str) -> None:
-    """A PLY with the texture coordinates that BOP's renderers read (texture_u, texture_v)."""
-    mesh = trimesh.Trimesh(model.vertices * MM, model.faces, process=False)
-    uv = np.asarray(model.uv, dtype=np.float32)
-    mesh.vertex_attributes = {"texture_u": uv[:, 0], "texture_v": uv[:, 1]}
-    data = trimesh.exchange.ply.export_ply(mesh, vertex_normal=False)
-    start = data.index(b"\nelement vertex")
-    data = data[:start] + f"\ncomment TextureFile {texture}".encode() + data[start:]
-    write_atomically(path, data)
+def _info_entries(frame: BopFrame) -> list[dict[str, Any]]:
+    valid = frame.px_counts_valid
+    if valid is None:
+        valid = [annotation.px_count_all for annotation in frame.annotations]
+    return [
+        {
+            "bbox_obj": [int(v) for v in annotation.bbox_obj],
+            "bbox_visib": [int(v) for v in annotation.bbox_visib],
+            "px_count_all": int(annotation.px_count_all),
+            "px_count_valid": int(count),
+            "px_count_visib": int(annotation.px_count_visib),
+            "visib_fract": float(annotation.visibility),
+        }
+        for annotation, count in zip(frame.annotations, valid, strict=True)
+    ]
 
 
 def _encode(path: Path, image: np.ndarray, options: Sequence[int]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as json_format
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -32,7 +32,8 @@ class CutAndPasteCommand:
     """
 
     data: Path
-    """BOP dataset to cut from; it needs masks of the visible pixels."""
+    """BOP dataset to cut from, a folder or a name below $BOP_PATH; it needs masks of the visible
+    pixels."""
     out: Path
     """Folder of the new dataset; made where missing."""
     images: int = 1000
@@ -79,8 +80,10 @@ def cut_and_paste(command: CutAndPasteCommand) -> None:
 
     from .bop import read_dataset
     from .bop_writer import scene_folder, write_scene
+    from .find_dataset import find_dataset
     from .results import write_results
 
+    command = replace(command, data=find_dataset(command.data))
     if command.out.resolve() == command.data.resolve():
         raise ValueError(f"out must be another folder than data, got {command.out} for both")
     images = list(read_dataset(command.data, command.split))

@@ -44,6 +44,11 @@ def roi_of_pose(
     return Roi(centre=centre, side=scale * diameter * K[0, 0] / depth, score=score)
 
 
+def depth_of_roi(roi: Roi, K: np.ndarray, diameter: float, scale: float) -> float:
+    """The depth in metres at which an object fills its region; the inverse of `roi_of_pose`."""
+    return scale * diameter * float(K[0, 0]) / max(roi.side, 1.0)
+
+
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
     """An object's pose, with how sure the estimator is of it.

@@ -11,8 +11,9 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from ..assets.object_model import ObjectModel
-from .bop import BopDataset, BopPair, read_dataset, read_depth, read_pairs, read_rgb
+from .bop import BopDataset, BopPair, read_dataset, read_depth, read_rgb
 from .estimate import PoseEstimate, Roi, roi_of_pose
+from .find_pairs import PAIRS_FILE, find_pairs
 from .geometry import View
 from .metrics import add_or_add_s
 from .outcomes import Outcome, print_table, summarise
@@ -55,11 +56,12 @@ class EvaluateConfig:
     seed: int = 1000
     """Of the scenes. Training data has other seeds."""
     data: Path | None = None
-    """A BOP dataset instead of our scenes."""
+    """A BOP dataset instead of our scenes: a folder, or a name below $BOP_PATH."""
     split: str = "test"
     """Folder of its scenes."""
     pairs: Path | None = None
-    """File with pairs of views; none = two_view_pairs.json of the dataset."""
+    """File with pairs of views; none = two_view_pairs.json of the dataset, or where it has none,
+    pairs found from its poses: 10 to 60 degrees apart, four for each reference view."""
     keep: Path | None = None
     """Keep the rendered scenes in this folder; if they are there already, use them."""
     threads: int = 0
@@ -182,10 +184,14 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
         torch.set_num_threads(config.threads)
     estimator = load(config.method, config.weights, preset=config.preset, solver=config.solver)
     networks = estimator.networks
+    dataset = read_dataset(root, config.split)
+    pairs = find_pairs(dataset, config.pairs)
+    if config.pairs is None and not (root / PAIRS_FILE).is_file():
+        print(f"{len(pairs)} pairs of views found from the poses of {root / config.split}")
     outcomes = evaluate_pairs(
         estimator,
-        read_dataset(root, config.split),
-        read_pairs(config.pairs or root),
+        dataset,
+        pairs,
         networks.objects,
         depth=config.method == "rgbd",
         truth_roi_scale=networks.features.config.roi_scale if config.roi == "truth" else None,

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from .agreement import agree, explain, joint_pose
+from .agreement import agree, believable, explain, joint_pose
 from .estimate import PoseEstimate
 from .frontend import EncodedView
 from .geometry import invert, transform
@@ -56,6 +56,8 @@ class MidFusionEstimator(TwoViewEstimator):
         floor = (_LEAST_DEVIATION * model.diameter) ** 2 * np.eye(3)
         found = SpacePoints(keypoints, covariance + floor)
         T = explain(agreed, model, [solved.T_cam_obj, joint], found)
+        if not believable(T, first, model):
+            T = joint
         return replace(
             solved,
             T_cam_obj=T,

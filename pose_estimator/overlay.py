@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import cv2
 import numpy as np
 
-from ..assets.object_model import ObjectModel
 from .geometry import check_image, check_intrinsics, check_rigid, transform
 
 TRUE_COLOUR = (57, 190, 88)
@@ -18,8 +18,18 @@ _SHIFT = 4  # cv2's fixed point: 1/16 of a pixel
 _LIMIT = 2**20 / 2**_SHIFT  # pixels; what lies further out is of no interest
 
 
+class Shape(Protocol):
+    """What is drawn of an object: vertices (V, 3) in metres and faces (F, 3) of indices."""
+
+    @property
+    def vertices(self) -> np.ndarray: ...
+
+    @property
+    def faces(self) -> np.ndarray: ...
+
+
 def silhouette(
-    model: ObjectModel, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
+    model: Shape, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
 ) -> np.ndarray:
     """Which pixels the object alone would cover.
 
@@ -48,7 +58,7 @@ def silhouette(
 
 
 def outline(
-    model: ObjectModel, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
+    model: Shape, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
 ) -> list[np.ndarray]:
     """The contours of the object's silhouette, holes included.
 
@@ -107,7 +117,7 @@ def draw_outline(
 
 def draw_poses(
     image: np.ndarray,
-    model: ObjectModel,
+    model: Shape,
     poses: Mapping[tuple[int, int, int], np.ndarray],
     K: np.ndarray,
     thickness: int = 2,

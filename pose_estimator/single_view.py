@@ -6,12 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .estimate import PoseEstimate, Roi
+from ..assets.object_model import ObjectModel
+from .estimate import PoseEstimate, Roi, depth_of_roi
 from .frontend import EncodedView, Frontend
-from .geometry import View, transform
+from .geometry import View, make_transform, transform
 from .networks import PoseNetworks
 from .pnp import PnpResult, keypoints_covariance, uncertainty_pnp
 from .solvers import check_solver
+
+_FARTHEST_OFF = 2.0
+"""Factor between the depths of a pose and of its region from which the pose is not believed; the
+detector misjudges the size of a region by less than ten percent."""
 
 
 class SingleViewEstimator:
@@ -75,9 +80,19 @@ class SingleViewEstimator:
             ) from None
 
     def from_one_view(self, encoded: EncodedView, object_name: str) -> PoseEstimate:
-        """Solves for the pose of an encoded view."""
+        """Solves for the pose of an encoded view.
+
+        Votes that fall into one point, as those of a hidden object may, fit a pose a hundred metres
+        away as well. Where the pose is not at all at the depth that the region's size says, the
+        object is placed there instead.
+        """
         model = self.networks.objects[object_name]
         solution = solve_pnp(encoded, model.keypoints)
+        depth = depth_of_roi(
+            encoded.roi, encoded.view.K, model.diameter, self.networks.features.config.roi_scale
+        )
+        if not depth / _FARTHEST_OFF < solution.T_cam_obj[2, 3] < depth * _FARTHEST_OFF:
+            return _placed_by_region(encoded, solution.T_cam_obj[:3, :3], depth, model)
         return PoseEstimate(
             T_cam_obj=solution.T_cam_obj,
             keypoints=transform(solution.T_cam_obj, model.keypoints),
@@ -86,6 +101,21 @@ class SingleViewEstimator:
             ),
             rois=[encoded.roi],
         )
+
+
+def _placed_by_region(
+    encoded: EncodedView, rotation: np.ndarray, depth: float, model: ObjectModel
+) -> PoseEstimate:
+    """The pose of an object in the middle of its region, which is no better than a guess."""
+    ray = np.linalg.inv(encoded.view.K) @ (*encoded.roi.centre, 1.0)
+    T = make_transform(rotation, depth * ray)
+    spread = np.eye(3) * (0.5 * model.diameter) ** 2
+    return PoseEstimate(
+        T_cam_obj=T,
+        keypoints=transform(T, model.keypoints),
+        keypoint_covariance=np.tile(spread, (len(model.keypoints), 1, 1)),
+        rois=[encoded.roi],
+    )
 
 
 def solve_pnp(encoded: EncodedView, keypoints: np.ndarray) -> PnpResult:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .find_dataset import find_dataset
 from .parts import PARTS, STAGES
 from .training_config import TrainEstimatorConfig
 
@@ -24,14 +26,14 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
         The weights file.
 
     Raises:
-        ValueError: if the configuration or the data is wrong.
-        FileNotFoundError: if the dataset is missing.
+        ValueError: if the configuration or the data is wrong, or there is no dataset.
     """
     import torch
 
     from .trainer import keep_freed_memory
     from .weights import save_weights
 
+    config = replace(config, data=find_dataset(config.data))
     if config.threads:
         torch.set_num_threads(config.threads)
     keep_freed_memory()

@@ -49,7 +49,7 @@ class TrainEstimatorConfig:
     """
 
     data: Path
-    """BOP dataset, as `generate` writes it."""
+    """BOP dataset, as `generate` writes it: a folder, or a name below $BOP_PATH."""
     out: Path
     """Folder for checkpoints, log and the finished weights (OUT/weights.safetensors)."""
     objects: tuple[str, ...] = ()

@@ -23,6 +23,7 @@ OPTIONS = {
     "demo": "seed object scene policy out json",
     "generate": "out scenes objects scene seed workers",
     "cut-and-paste": "data out images backgrounds split objects move seed json",
+    "check-data": "split scenes images out pictures json",
     "train-estimator": "out seed",
     "evaluate": "method weights preset solver roi scene scenes seed data pairs json",
     "estimate": "reference second K relative-pose object method depth weights out overlay json",

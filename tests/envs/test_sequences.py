@@ -159,7 +159,10 @@ def test_kinds_and_samplings_take_all_turns(config: GenerateConfig) -> None:
         ({"gaps": (5, 1)}, "gaps must rise from at least 1"),
         ({"gaps": (0, 1)}, "gaps must rise from at least 1"),
         ({"references": -1}, "references must be at least 0"),
-        ({"sampling": "drone"}, "sampling must be one of sphere, hand-held, mixed, got 'drone'"),
+        (
+            {"sampling": "drone"},
+            "sampling must be one of sphere, hand-held, mixed, stereo, got 'drone'",
+        ),
     ],
 )
 def test_wrong_settings_are_named(config: GenerateConfig, change, message) -> None:

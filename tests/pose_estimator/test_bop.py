@@ -1,6 +1,7 @@
 """BOP files: what is written comes back, on disk it is BOP's, and broken files are named."""
 
 import json
+import shutil
 import subprocess
 import sys
 
@@ -10,7 +11,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 from two_view_pose.assets.object_model import ObjectModel
-from two_view_pose.pose_estimator import bop, bop_writer
+from two_view_pose.pose_estimator import bop, bop_models, bop_writer
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, make_transform
 
 
@@ -117,7 +118,7 @@ def test_files_hold_millimetres_and_plain_bop(dataset):
 
 def test_models_round_trip_and_load_with_their_texture(tmp_path):
     model = box_model()
-    bop_writer.write_models(tmp_path, [model, box_model(2, "brick")])
+    bop_models.write_models(tmp_path, [model, box_model(2, "brick")])
     infos = bop.read_models_info(tmp_path)
     info = infos[10]
     assert sorted(infos) == [2, 10] and info.name == "crate"
@@ -134,7 +135,7 @@ def test_models_round_trip_and_load_with_their_texture(tmp_path):
 
 def test_two_models_with_one_number_are_refused(tmp_path):
     with pytest.raises(ValueError, match="'crate' and 'brick' share the id 10"):
-        bop_writer.write_models(tmp_path, [box_model(), box_model(10, "brick")])
+        bop_models.write_models(tmp_path, [box_model(), box_model(10, "brick")])
 
 
 def test_continuous_symmetry_turns_about_its_axis(tmp_path):
@@ -162,6 +163,20 @@ def test_pairs_round_trip(tmp_path):
     assert read.gap is None
     entry = json.loads((tmp_path / "two_view_pairs.json").read_text())[0]
     np.testing.assert_allclose(entry["cam_t_ref2second"], pair.T_second_ref[:3, 3] * 1000)
+
+
+def test_pairs_say_what_is_visible_where_they_know(tmp_path):
+    path = tmp_path / "two_view_pairs.json"
+    seen = {9: (0.5, 1.0), 1: (0.0, 0.25)}
+    pairs = [bop.BopPair(0, 0, 1, np.eye(4), {9: 2.0, 1: 3.0}, visib_fracts=v) for v in (seen, {})]
+    bop_writer.write_pairs(path, pairs)
+    assert [dict(pair.visib_fracts) for pair in bop.read_pairs(tmp_path)] == [seen, {}]
+    entries = json.loads(path.read_text())
+    assert entries[0]["visib_fracts"] == {"9": [0.5, 1.0], "1": [0.0, 0.25]}
+    assert "visib_fracts" not in entries[1]
+    path.write_text(json.dumps([entries[0] | {"visib_fracts": {"9": [0.5]}}]))
+    with pytest.raises(ValueError, match="pair 0: visible fractions: field '9' must be 2 finite"):
+        bop.read_pairs(path)
 
 
 def test_pairs_of_a_sequence_keep_their_gap(tmp_path):
@@ -292,3 +307,50 @@ def test_writing_refuses_what_reading_would(tmp_path):
 def test_reading_needs_no_torch():
     code = "import sys, two_view_pose.pose_estimator.bop_writer; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_without_descriptions_the_masks_tell(dataset):
+    root, frames = dataset
+    folder = root / "train_pbr" / "000003"
+    (folder / "scene_gt_info.json").unlink()
+    (folder / "mask").mkdir()
+    whole = np.zeros((48, 64), np.uint8)
+    whole[5:20, 10:50] = 255
+    cv2.imwrite(str(folder / "mask" / "000000_000000.png"), whole)
+    image = bop.read_dataset(root, "train_pbr").scene(3)[0]
+    for read, written in zip(image.annotations, frames[3][0].annotations, strict=True):
+        assert read.bbox_visib == written.bbox_visib
+        assert read.px_count_visib == written.px_count_visib
+        np.testing.assert_allclose(read.T_cam_obj, written.T_cam_obj, atol=1e-9)
+    first, second = image.annotations
+    assert first.visibility == 0.5 and first.bbox_obj == (10, 5, 39, 14)  # 20 of 40 columns
+    assert first.px_count_all == 600
+    assert second.visibility == 1.0 and second.bbox_obj == (-1, -1, -1, -1)
+
+
+def test_without_descriptions_and_masks_nothing_is_in_the_way(dataset):
+    root, _ = dataset
+    folder = root / "train_pbr" / "000003"
+    (folder / "scene_gt_info.json").unlink()
+    shutil.rmtree(folder / "mask_visib")
+    for annotation in bop.read_dataset(root, "train_pbr").scene(3)[0].annotations:
+        assert annotation.visibility == 1.0 and annotation.mask_visib_path is None
+        assert annotation.bbox_visib == annotation.bbox_obj == (-1, -1, -1, -1)
+        assert annotation.px_count_visib == annotation.px_count_all == -1
+
+
+def test_gray_pictures_and_pictures_without_annotations_are_read(dataset):
+    root, _ = dataset
+    folder = root / "train_pbr" / "000003"
+    (folder / "rgb").rename(folder / "gray")
+    for path in sorted((folder / "gray").iterdir()):
+        cv2.imwrite(str(path.with_suffix(".jpg")), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+        path.unlink()
+    for name in ("scene_gt.json", "scene_gt_info.json"):
+        content = json.loads((folder / name).read_text())
+        del content["1"]
+        (folder / name).write_text(json.dumps(content))
+    scene = bop.read_dataset(root, "train_pbr").scene(3)
+    assert sorted(scene) == [0, 1] and scene[1].annotations == ()
+    rgb = bop.read_rgb(scene[0])
+    assert rgb.shape == (48, 64, 3) and (rgb[..., 0] == rgb[..., 2]).all()

@@ -279,3 +279,18 @@ def test_the_table_names_every_object(capsys):
     print_table(summarise([outcome("cat", 0.01), outcome("duck", 0.4)], {}), "title")
     printed = capsys.readouterr().out
     assert all(word in printed for word in ("cat", "duck", "mean", "100.0 %", "50.0 %"))
+
+
+def test_a_dataset_without_pairs_is_paired_by_its_poses(
+    dataset, boxes, monkeypatch, tmp_path, capsys
+):
+    for name in ("train_pbr", "models"):
+        (tmp_path / name).symlink_to(dataset / name)
+    oracle = Oracle(read_dataset(tmp_path, "train_pbr"), boxes)
+    oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
+    monkeypatch.setattr("two_view_pose.pose_estimator.load", lambda *a, **k: oracle)
+    records = evaluate_dataset(EvaluateConfig(split="train_pbr"), tmp_path, {})
+    # Three scenes of three pictures, all 10 to 60 degrees apart; two objects in each.
+    assert "18 pairs of views found from the poses of" in capsys.readouterr().out
+    mean = figure(records, "add_s_recall", "mean")
+    assert mean["value"] == 1.0 and mean["n"] == 36

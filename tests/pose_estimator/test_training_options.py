@@ -133,3 +133,10 @@ def test_one_scene_is_told_before_any_training(boxes, pack: CropPack):
     alone = replace(pack, scene_id=pack.scene_id * 0)
     with pytest.raises(ValueError, match="Generate more scenes"):
         TrainingSet(alone, boxes, PoseNetworks(boxes).config.features)
+
+
+def test_a_dataset_that_is_not_there_is_named_first(tmp_path, monkeypatch):
+    monkeypatch.delenv("BOP_PATH", raising=False)
+    with pytest.raises(ValueError, match=r"no dataset .*nowhere: .* set BOP_PATH"):
+        train_estimator(TrainEstimatorConfig(data=tmp_path / "nowhere", out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()

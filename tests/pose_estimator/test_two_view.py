@@ -132,6 +132,42 @@ def test_votes_that_no_pose_explains_leave_the_pose_that_was_known(networks):
     assert np.array_equal(joint, first.T_cam_obj)
 
 
+def test_a_joint_pose_far_from_what_was_known_is_not_believed(networks):
+    """Two views that show different things meet somewhere far away."""
+    model = networks.objects["brick"]
+    first, _ = looking(networks, SingleViewEstimator, [view(20)])
+    frontend = PerfectVotes(networks)
+    encoded = [frontend.encode(view(d), 0) for d in (20, 23)]
+    # The second view votes for something where the rays meet at twice the depth.
+    T = camera(20) @ T_WORLD_OBJ
+    T[2, 3] *= 2
+    T[:2, 3] *= 2
+    elsewhere = camera(23) @ np.linalg.inv(camera(20)) @ T
+    votes = project(transform(elsewhere, model.keypoints), encoded[1].K_grid)
+    encoded[1] = replace(encoded[1], vote_mean=votes)
+    joint = joint_pose(encoded, transform(T, model.keypoints), model, first)
+    depth = float(joint[2, 3] / first.T_cam_obj[2, 3])
+    assert 1 / 1.5 < depth < 1.5
+
+
+def test_collapsed_votes_leave_the_object_at_the_depth_of_its_region(networks):
+    """All votes in one point fit an object that is far away."""
+    model = networks.objects["brick"]
+    estimator = SingleViewEstimator(networks)
+    frontend = PerfectVotes(networks)
+    encoded = frontend.encode(view(20), 0)
+    assert estimator.from_one_view(encoded, "brick").T_cam_obj[2, 3] == pytest.approx(0.9, abs=0.1)
+    middle = encoded.vote_mean[-1] + 0.02 * (encoded.vote_mean - encoded.vote_mean[-1])
+    found = estimator.from_one_view(replace(encoded, vote_mean=middle), "brick")
+    region = found.rois[0]
+    placed = roi_of_pose(found.T_cam_obj, LINEMOD_K, model.diameter, 1.4)
+    assert placed.side == pytest.approx(region.side, rel=0.01)
+    assert np.abs(placed.centre - region.centre).max() < 1
+    assert np.isfinite(found.keypoint_covariance).all()
+    # Whoever fuses it is told how little it is worth.
+    assert found.keypoint_covariance[0, 2, 2] > (0.3 * model.diameter) ** 2
+
+
 def test_points_in_space_and_votes_are_weighed_by_their_covariances(networks):
     """The points lie 2 cm deeper than the votes say."""
     model = networks.objects["brick"]

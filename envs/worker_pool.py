@@ -1,0 +1,135 @@
+"""Scenes made by several processes of this machine, each with its own GL context.
+
+A worker that has come to hold too much memory is replaced by a fresh one, and so is one that died;
+its scene is made again. Each worker is an executor of one process: a pool of several cannot replace
+one of them, and Python's own ``max_tasks_per_child`` hangs in Python 3.11 and 3.12
+(https://github.com/python/cpython/issues/115634). A limit of memory is also what is meant: how much
+a scene leaves behind depends on the driver.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .generate import GenerateConfig
+    from .scene_writer import SceneMaker
+
+QUIET_THREADS = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "LP_NUM_THREADS": "0",  # llvmpipe draws in the worker itself: workers are the parallelism
+}
+"""What the workers' environment says unless the caller's own says otherwise."""
+
+TRIES = 3
+"""How often a scene is begun whose workers die."""
+
+
+def make_scenes(config: GenerateConfig, scene_ids: Iterable[int]) -> Iterator[int]:
+    """Makes scenes and yields the number of each that is ready.
+
+    Raises:
+        ChildProcessError: if the workers of one scene died ``TRIES`` times.
+    """
+    waiting = deque(scene_ids)
+    added = {k: v for k, v in QUIET_THREADS.items() if k not in os.environ}
+    os.environ.update(added)  # the workers inherit it
+    deaths: Counter[int] = Counter()
+    running: dict[Future[int], tuple[ProcessPoolExecutor, int]] = {}
+    idle = [_new_worker(config) for _ in range(min(config.workers, len(waiting)))]
+    try:
+        while waiting or running:
+            while waiting and idle:
+                worker, scene_id = idle.pop(), waiting.popleft()
+                running[worker.submit(make_one, scene_id)] = worker, scene_id
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                worker, scene_id = running.pop(future)
+                idle.append(worker)
+                try:
+                    memory = future.result()
+                except BrokenProcessPool:
+                    deaths[scene_id] += 1
+                    if deaths[scene_id] == TRIES:
+                        raise ChildProcessError(
+                            f"{TRIES} workers died on scene {scene_id}. Often memory is why: try "
+                            "fewer workers, or one, which shows the error"
+                        ) from None
+                    waiting.appendleft(scene_id)
+                    idle[-1] = _replace(worker, config)
+                    continue
+                if 0 < config.worker_memory * 1e9 < memory and waiting:
+                    idle[-1] = _replace(worker, config)
+                yield scene_id
+    finally:
+        for worker in [*idle, *(worker for worker, _ in running.values())]:
+            worker.shutdown(cancel_futures=True)
+        for name in added:
+            del os.environ[name]
+
+
+def memory_in_use() -> int:
+    """Bytes of memory that this process holds; the most it ever held where Linux cannot say."""
+    if sys.platform == "linux":
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    import resource
+
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+_maker: SceneMaker | None = None
+
+
+def start_worker(config: GenerateConfig) -> None:
+    """In a worker: makes ready to make scenes."""
+    global _maker
+    import cv2
+
+    from .scene_writer import SceneMaker
+
+    cv2.setNumThreads(1)
+    _maker = SceneMaker(config)
+
+
+def make_one(scene_id: int) -> int:
+    """In a worker: makes a scene; returns the bytes of memory that the worker holds."""
+    assert _maker is not None
+    _maker.make(scene_id)
+    return memory_in_use()
+
+
+def _new_worker(config: GenerateConfig) -> ProcessPoolExecutor:
+    """A worker; its process starts with its first scene."""
+    spawn = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(1, spawn, initializer=_start_child, initargs=(config,))
+
+
+def _replace(worker: ProcessPoolExecutor, config: GenerateConfig) -> ProcessPoolExecutor:
+    """A fresh worker, once the old one has given back its memory."""
+    worker.shutdown()
+    return _new_worker(config)
+
+
+def _start_child(config: GenerateConfig) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it and ends its workers
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    start_worker(config)
+
+
+def _leave_with_parent() -> None:
+    """Ends a worker whose parent was killed: its queue alone would keep it waiting for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

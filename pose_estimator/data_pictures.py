@@ -1,0 +1,121 @@
+"""Overlay pictures of wrong projections: the mask and the model, as written and as corrected."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .data_checks_projection import Projection
+from .input_files import read_image
+from .overlay import outline
+from .results import write_atomically
+
+MASK = "#19d3f3"
+WRITTEN = "#ff3b30"
+CORRECTED = "#ffd60a"
+
+
+def choose(wrong: Iterable[Projection], count: int) -> list[Projection]:
+    """At most ``count`` projections, of as many causes and objects as there are, the best seen."""
+    groups: dict[tuple[str, int], list[Projection]] = {}
+    for p in sorted(wrong, key=lambda p: -np.nan_to_num(p.evidence.visibility)):
+        groups.setdefault((p.cause.name if p.cause else "", p.model.obj_id), []).append(p)
+    chosen: list[Projection] = []
+    while groups and len(chosen) < count:
+        for key in list(groups):
+            chosen.append(groups[key].pop(0))
+            if not groups[key]:
+                del groups[key]
+    return chosen[:count]
+
+
+def draw(projection: Projection, path: Path) -> None:
+    """Writes one overlay as a PNG.
+
+    Left the model as the files put it, right as it is when the cause is undone, where one was
+    found; in both what the mask, or without one the box, says.
+
+    Raises:
+        ValueError: if the picture cannot be read.
+        OSError: if a file cannot be read or written.
+    """
+    from matplotlib.figure import Figure
+
+    picture = read_image(projection.picture)
+    readings = [("as written", WRITTEN, projection.T_cam_obj, projection.K)]
+    if (cause := projection.cause) is not None:
+        readings.append(("as corrected", CORRECTED, cause.T_cam_obj, cause.K))
+    figure = Figure(figsize=(6 * len(readings), 5.4), dpi=100, layout="constrained")
+    panels = figure.subplots(1, len(readings), squeeze=False)[0]
+    frame = _frame(projection)
+    for panel, (title, colour, T, K) in zip(panels, readings, strict=True):
+        panel.imshow(picture)
+        _draw_evidence(panel, projection)
+        contours = outline(projection.model, T, K, projection.evidence.shape)
+        for contour in contours:
+            closed = np.concatenate([contour, contour[:1]])
+            panel.plot(*closed.T, color="black", linewidth=3.5)
+            panel.plot(*closed.T, color=colour, linewidth=2)
+        named = "model" if contours else "model is not in the picture"
+        panel.plot([], [], color=colour, linewidth=2, label=f"{named} {title}")
+        score = projection.evidence.score(projection.model, T, K)
+        panel.set_title(f"{title}: {100 * score:.0f} % match", fontsize=11)
+        panel.set(xlim=frame[0], ylim=frame[1], xticks=[], yticks=[])
+        panel.legend(loc="lower right", fontsize=9, framealpha=0.85)
+    where = f"{projection.place}, object {projection.model.obj_id}"
+    reason = _wrapped(cause.cause) if cause else "no common mistake explains it"
+    figure.suptitle(f"{where}\n{reason}", fontsize=12)
+    content = io.BytesIO()
+    figure.savefig(content, format="png")
+    write_atomically(path, content.getvalue())
+
+
+def file_name(projection: Projection) -> str:
+    """A name that says where the annotation stands."""
+    place = projection.place
+    split = projection.gt_path.parent.parent.name
+    return f"{split}_{place.scene:06d}_{place.image:06d}_{place.annotation:02d}.png"
+
+
+def _draw_evidence(panel: Any, projection: Projection) -> None:
+    """The mask as a tint, or the box."""
+    evidence = projection.evidence
+    left, top, right, bottom = evidence.box
+    if evidence.mask is not None:
+        tint = evidence.mask[..., None] * np.array([0.1, 0.83, 0.95, 0.55])
+        extent = (left - 0.5, right + 0.5, bottom + 0.5, top - 0.5)
+        panel.imshow(tint, extent=extent, interpolation="nearest")
+        panel.plot([], [], color=MASK, linewidth=6, alpha=0.6, label="mask")
+    else:
+        label = "bbox_obj" if evidence.amodal else "bbox_visib"
+        corners = [left, right, right, left, left], [top, top, bottom, bottom, top]
+        panel.plot(*corners, color=MASK, linewidth=2, linestyle="--", label=label)
+
+
+def _frame(projection: Projection) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The part of the picture to show: all that is drawn, with air, and no less than a quarter."""
+    height, width = projection.evidence.shape
+    boxes = [projection.evidence.box]
+    poses = [(projection.T_cam_obj, projection.K)]
+    if projection.cause is not None:
+        poses.append((projection.cause.T_cam_obj, projection.cause.K))
+    for T, K in poses:
+        for contour in outline(projection.model, T, K, (height, width)):
+            boxes.append(np.concatenate([contour.min(axis=0), contour.max(axis=0)]))
+    stacked = np.clip(np.stack(boxes), 0, (width, height) * 2)
+    low, high = stacked[:, :2].min(axis=0), stacked[:, 2:].max(axis=0)
+    side = min(max(1.4 * max(high - low), width / 4), max(width, height))
+    centre = np.clip((low + high) / 2, side / 2, None)
+    centre = np.minimum(centre, np.maximum((width, height) - np.array(side) / 2, side / 2))
+    (left, top), (right, bottom) = centre - side / 2, centre + side / 2
+    return (left - 0.5, min(right, width) - 0.5), (min(bottom, height) - 0.5, top - 0.5)
+
+
+def _wrapped(text: str) -> str:
+    import textwrap
+
+    return "\n".join(textwrap.wrap(text, 90))
