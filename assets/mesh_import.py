@@ -24,7 +24,7 @@ from .object_model import ObjectModel
 from .surface_colours import NORMAL_WEIGHT, sample_colours
 
 if TYPE_CHECKING:
-    from ..pose_estimator.bop import BopModelInfo
+    from ..pose_estimator.bop_models_info import BopModelInfo
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 """What `import_mesh` reads."""
@@ -207,7 +207,7 @@ def _bop_info(path: Path) -> BopModelInfo | None:
     """What a BOP ``models_info.json`` beside the file says of it, or None."""
     if not re.fullmatch(r"obj_\d+", path.stem) or not (path.parent / "models_info.json").is_file():
         return None
-    from ..pose_estimator.bop import read_models_info
+    from ..pose_estimator.bop_models_info import read_models_info
 
     return read_models_info(path.parent.parent, path.parent.name).get(_number(path.stem))
 

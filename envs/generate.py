@@ -212,6 +212,7 @@ def _write_models(config: GenerateConfig, objects: Mapping[str, ObjectModel]) ->
 def _write_lists(config: GenerateConfig) -> None:
     """Writes what is read back from the finished scenes: pairs, targets, checksums."""
     from ..pose_estimator.bop import read_dataset
+    from ..pose_estimator.bop_pairs import PAIRS_FILE
     from ..pose_estimator.bop_targets import TARGETS_FILE, is_test, write_targets
     from ..pose_estimator.bop_writer import write_pairs
     from .checksums import write_dataset_sums
@@ -219,11 +220,11 @@ def _write_lists(config: GenerateConfig) -> None:
     from .pair_list import two_view_pairs
 
     out = config.out
-    write_pairs(out / "two_view_pairs.json", two_view_pairs(config))
+    write_pairs(out / PAIRS_FILE, two_view_pairs(config))
     if is_test(config.split):
         write_targets(read_dataset(out, config.split), range(config.scenes))
     remove_leftovers(out, out / "models", out / "models_eval")
-    beside = ["manifest.json", "camera.json", "two_view_pairs.json", "models", "models_eval"]
+    beside = ["manifest.json", "camera.json", PAIRS_FILE, "models", "models_eval"]
     write_dataset_sums(out, config.split, [*beside, TARGETS_FILE])
 
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..pose_estimator.bop import BopImage, read_dataset, read_models_info
+from ..pose_estimator.bop import BopImage, read_dataset
+from ..pose_estimator.bop_models_info import read_models_info
 from ..pose_estimator.bop_pairs import BopPair
 from ..pose_estimator.bop_targets import LEAST_VISIBLE
 from ..pose_estimator.geometry import invert

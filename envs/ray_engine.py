@@ -9,7 +9,6 @@ pictures have the same bytes where the machines draw with the same OpenGL driver
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import worker_pool
-from .worker_pool import QUIET_THREADS, TRIES
+from .worker_pool import TRIES, quiet_threads
 
 if TYPE_CHECKING:
     from .generate import GenerateConfig
@@ -88,8 +87,7 @@ _started: list[GenerateConfig] = []
 
 def _cluster(config: GenerateConfig) -> dict[str, Any]:
     """How ``ray.init`` gets to the cluster."""
-    quiet = {name: value for name, value in QUIET_THREADS.items() if name not in os.environ}
-    how: dict[str, Any] = {"address": config.ray, "runtime_env": {"env_vars": quiet}}
+    how: dict[str, Any] = {"address": config.ray, "runtime_env": {"env_vars": quiet_threads()}}
     if config.ray == "local":
         how |= {"num_cpus": config.workers, "include_dashboard": False}
     return how | {"log_to_driver": False}

@@ -10,11 +10,10 @@ import numpy as np
 from ..assets import load_objects
 from ..assets.object_model import ObjectModel
 from ..pose_estimator.bop import BopAnnotation
+from ..pose_estimator.bop_boxes import NO_BOX, bounding_box
 from ..pose_estimator.bop_coco import COCO_FILE, write_coco
 from ..pose_estimator.bop_writer import (
-    NO_BOX,
     BopFrame,
-    bounding_box,
     scene_folder,
     write_scene,
 )

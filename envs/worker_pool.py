@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .generate import GenerateConfig
     from .scene_writer import SceneMaker
 
-QUIET_THREADS = {
+_QUIET_THREADS = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "LP_NUM_THREADS": "0",  # llvmpipe draws in the worker itself: workers are the parallelism
@@ -35,6 +35,11 @@ TRIES = 3
 """How often a scene is begun whose workers die."""
 
 
+def quiet_threads() -> dict[str, str]:
+    """What a worker's environment is to say of threads, but for what the caller's own says."""
+    return {name: value for name, value in _QUIET_THREADS.items() if name not in os.environ}
+
+
 def make_scenes(config: GenerateConfig, scene_ids: Iterable[int]) -> Iterator[int]:
     """Makes scenes and yields the number of each that is ready.
 
@@ -42,7 +47,7 @@ def make_scenes(config: GenerateConfig, scene_ids: Iterable[int]) -> Iterator[in
         ChildProcessError: if the workers of one scene died ``TRIES`` times.
     """
     waiting = deque(scene_ids)
-    added = {k: v for k, v in QUIET_THREADS.items() if k not in os.environ}
+    added = quiet_threads()
     os.environ.update(added)  # the workers inherit it
     deaths: Counter[int] = Counter()
     running: dict[Future[int], tuple[ProcessPoolExecutor, int]] = {}

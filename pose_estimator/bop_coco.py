@@ -14,9 +14,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from .bop_boxes import bounding_box
 from .bop_fields import read_json, required
 from .bop_targets import LEAST_VISIBLE
-from .bop_writer import bounding_box, write_json
+from .bop_writer import write_json
 
 COCO_FILE = "scene_gt_coco.json"
 

@@ -78,6 +78,12 @@ def transforms(
     return rigid(T, [f"{place}: field {rotation!r}" for place in places])
 
 
+def rotation_errors(rotations: np.ndarray) -> np.ndarray:
+    """How far matrices (N, 3, 3) are from orthonormal, (N,); infinite for those that mirror."""
+    errors = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
+    return np.where(np.linalg.det(rotations) < 0, np.inf, errors)
+
+
 def rigid(T: np.ndarray, places: Sequence[str]) -> np.ndarray:
     """Transforms (N, 4, 4) with rotations that are orthonormal to the last digit.
 
@@ -88,9 +94,8 @@ def rigid(T: np.ndarray, places: Sequence[str]) -> np.ndarray:
         ValueError: if one is further off than ``ROTATION_TOLERANCE``.
     """
     rotations = T[:, :3, :3]
-    errors = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
-    wrong = (errors > ROTATION_TOLERANCE) | (np.linalg.det(rotations) < 0)
-    for i in np.flatnonzero(wrong).tolist():
+    errors = rotation_errors(rotations)
+    for i in np.flatnonzero(errors > ROTATION_TOLERANCE).tolist():
         check_rigid(T[i], places[i], ROTATION_TOLERANCE)
     rounded = errors > 1e-12
     U, _, Vt = np.linalg.svd(rotations[rounded])

@@ -9,6 +9,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from .bop_boxes import NO_BOX, bounding_box
+
 
 def info_from_masks(folder: Path, poses: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
     """Content like that of ``scene_gt_info.json``, measured on the masks where there are any.
@@ -30,10 +32,9 @@ def info_from_masks(folder: Path, poses: Mapping[str, Any]) -> dict[str, list[di
 
 
 def _entry() -> dict[str, Any]:
-    unknown = [-1, -1, -1, -1]
     return {
-        "bbox_obj": unknown,
-        "bbox_visib": unknown,
+        "bbox_obj": NO_BOX,
+        "bbox_visib": NO_BOX,
         "px_count_all": -1,
         "px_count_visib": -1,
         "visib_fract": 1.0,
@@ -45,10 +46,10 @@ def _describe(folder: Path, image_id: int, index: int) -> dict[str, Any]:
     name = f"{image_id:06d}_{index:06d}.png"
     visible = _read(folder / "mask_visib" / name)
     if visible is not None:
-        entry["bbox_visib"], entry["px_count_visib"] = _box(visible), int(visible.sum())
+        entry["bbox_visib"], entry["px_count_visib"] = bounding_box(visible), int(visible.sum())
         whole = _read(folder / "mask" / name)
         if whole is not None:
-            entry["bbox_obj"], entry["px_count_all"] = _box(whole), int(whole.sum())
+            entry["bbox_obj"], entry["px_count_all"] = bounding_box(whole), int(whole.sum())
             entry["visib_fract"] = min(1.0, float(visible.sum()) / max(1, int(whole.sum())))
     return entry
 
@@ -57,8 +58,3 @@ def _read(path: Path) -> np.ndarray | None:
     """A mask, or None where the file is missing or broken: who needs it will say so."""
     mask = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
     return None if mask is None else mask > 0
-
-
-def _box(mask: np.ndarray) -> list[int]:
-    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
-    return [left, top, width - 1, height - 1] if width else [-1, -1, -1, -1]

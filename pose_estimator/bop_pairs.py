@@ -11,6 +11,9 @@ import numpy as np
 
 from .bop_fields import MM, array, integer, read_json, required, rigid, transforms
 
+PAIRS_FILE = "two_view_pairs.json"
+"""The list of pairs in a dataset's folder."""
+
 
 @dataclass(frozen=True, eq=False)
 class BopPair:
@@ -66,7 +69,7 @@ def read_pairs(path: str | Path) -> tuple[BopPair, ...]:
     """
     path = Path(path)
     if path.is_dir():
-        path = path / "two_view_pairs.json"
+        path = path / PAIRS_FILE
     content = read_json(path, (list, dict))
     if isinstance(content, dict):
         return _read_worldless(content, str(path))

@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from .bop import BopAnnotation, Box
+from .bop import BopAnnotation
 from .bop_fields import MM
 from .bop_pairs import BopPair
 from .geometry import check_image, check_intrinsics, check_rigid
@@ -24,9 +24,6 @@ from .results import write_atomically
 
 DEPTH_SCALE = 0.1
 """Millimetres for each step of the 16-bit depth maps that we write: up to 6.5 m."""
-
-NO_BOX: Box = (-1, -1, -1, -1)
-"""The box of nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,15 +160,6 @@ def write_json(path: Path, content: Any) -> None:
     except ValueError as error:
         raise ValueError(f"{path} cannot hold NaN or infinite numbers") from error
     write_atomically(path, text.encode())
-
-
-def bounding_box(mask: np.ndarray) -> Box:
-    """The box of a mask's true pixels, as bool (H, W) or uint8."""
-    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
-    if not columns.size:
-        return NO_BOX
-    left, top = int(columns[0]), int(rows[0])
-    return left, top, int(columns[-1]) - left, int(rows[-1]) - top
 
 
 def _write_pixels(

@@ -84,6 +84,7 @@ def check_data(config: CheckDataConfig) -> int:
 
 def find_mistakes(config: CheckDataConfig, root: Path) -> tuple[Findings, list[Projection], str]:
     """All findings, the wrong projections, and what was looked at in words."""
+    from .bop_pairs import PAIRS_FILE
     from .bop_raw_models import read_raw_models
     from .bop_raw_pairs import read_raw_pairs
     from .data_checks_cameras import read_camera_size
@@ -91,7 +92,6 @@ def find_mistakes(config: CheckDataConfig, root: Path) -> tuple[Findings, list[P
     from .data_checks_pictures import PictureCheck
     from .data_checks_projection import explain, report
     from .data_findings import Findings
-    from .find_pairs import PAIRS_FILE
 
     findings = Findings()
     models = read_raw_models(root, findings)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from .bop_boxes import bounding_box
 from .bop_raw import RawScene
-from .bop_writer import bounding_box
-from .data_findings import Findings, Place
+from .data_findings import Finding, Findings, Place, Severity
 
 SLACK = 3
 """Pixels by which boxes may differ: some count the last column, others the distance to it."""
@@ -24,14 +24,19 @@ def check_info(scene: RawScene, size: tuple[int, int] | None, findings: Findings
     if not rows.described:
         return
 
-    def complain(wrong: np.ndarray, severity: str, field: str, problem: str, **more: str) -> None:
-        add = findings.error if severity == "error" else findings.warning
+    def complain(
+        wrong: np.ndarray, severity: Severity, field: str, problem: str, **more: str
+    ) -> None:
         columns = {"visib_fract": rows.visibility, "px_count_visib": rows.px_count_visib}
         values = columns.get(field, getattr(rows, field, rows.visibility))
         for row in np.flatnonzero(wrong).tolist():
             detail = str(np.round(values[row], 3).tolist())
             place = rows.place(scene.scene_id, row)
-            add(scene.info_path, field, problem, place=place, detail=detail, **more)
+            findings.add(
+                Finding(
+                    severity, scene.info_path, field, problem, place=place, detail=detail, **more
+                )
+            )
 
     with np.errstate(invalid="ignore"):
         fraction = rows.visibility

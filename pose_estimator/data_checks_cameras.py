@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .bop_fields import ROTATION_TOLERANCE
+from .bop_fields import ROTATION_TOLERANCE, rotation_errors
 from .bop_raw import RawScene
 from .bop_raw_fields import read_numbers, read_raw_json
-from .data_findings import Findings, Place
+from .data_findings import Finding, Findings, Place, Severity
 from .geometry import check_intrinsics
 
 MIDDLE = (0.25, 0.75)
@@ -24,7 +24,7 @@ def check_cameras(scene: RawScene, size: tuple[int, int] | None, findings: Findi
         size: height and width of its pictures; None where none could be read.
         findings: are added to.
     """
-    known: dict[bytes, tuple[str, str, str, str, str] | None] = {}
+    known: dict[bytes, tuple[Severity, str, str, str, str] | None] = {}
     for image_id, K in zip(scene.image_id.tolist(), scene.K, strict=True):
         if np.isnan(K).any():
             continue
@@ -33,11 +33,10 @@ def check_cameras(scene: RawScene, size: tuple[int, int] | None, findings: Findi
             known[key] = _complaint(K, size)
         if (found := known[key]) is not None:
             severity, problem, cause, remedy, detail = found
-            add = findings.error if severity == "error" else findings.warning
-            add(
-                scene.camera_path, "cam_K", problem, cause=cause, remedy=remedy, detail=detail,
-                place=Place(scene.scene_id, image_id),
-            )  # fmt: skip
+            place = Place(scene.scene_id, image_id)
+            findings.add(
+                Finding(severity, scene.camera_path, "cam_K", problem, cause, remedy, place, detail)
+            )
     for i in np.flatnonzero(~rigid_or_nan(scene.T_cam_world)).tolist():
         findings.error(
             scene.camera_path, "cam_R_w2c", "is not a rotation",
@@ -57,15 +56,13 @@ def rigid_or_nan(T: np.ndarray) -> np.ndarray:
     """Which transforms (N, 4, 4) are rigid, as far as recorded data is, or unknown: bool (N,)."""
     known = ~np.isnan(T).any(axis=(1, 2))
     T = np.where(known[:, None, None], T, np.eye(4))
-    rotations = T[:, :3, :3]
-    error = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
     whole = np.abs(T[:, 3] - (0, 0, 0, 1)).max(axis=1) < 1e-3
-    return (error <= ROTATION_TOLERANCE) & (np.linalg.det(rotations) > 0) & whole
+    return (rotation_errors(T[:, :3, :3]) <= ROTATION_TOLERANCE) & whole
 
 
 def _complaint(
     K: np.ndarray, size: tuple[int, int] | None
-) -> tuple[str, str, str, str, str] | None:
+) -> tuple[Severity, str, str, str, str] | None:
     """Severity, problem, cause, remedy and detail of a camera matrix, or None."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     written = f"fx {fx:.6g}, fy {fy:.6g}, cx {cx:.6g}, cy {cy:.6g}"

@@ -12,8 +12,9 @@ import numpy as np
 
 from ..assets.object_model import ObjectModel
 from .bop import BopDataset, BopPair, read_dataset, read_depth, read_rgb
+from .bop_pairs import PAIRS_FILE
 from .estimate import PoseEstimate, Roi, roi_of_pose
-from .find_pairs import PAIRS_FILE, find_pairs
+from .find_pairs import find_pairs
 from .geometry import View
 from .metrics import add_or_add_s
 from .outcomes import Outcome, print_table, summarise

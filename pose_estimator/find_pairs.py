@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from .bop import BopDataset, BopImage, read_models_info
-from .bop_pairs import BopPair, read_pairs
+from .bop import BopDataset, BopImage
+from .bop_models_info import read_models_info
+from .bop_pairs import PAIRS_FILE, BopPair, read_pairs
 from .geometry import invert
 
-PAIRS_FILE = "two_view_pairs.json"
 STILL_METRES = 0.005
 STILL_DEGREES = 2.0
 """An object that is farther from where it would be if it had stood still was moved."""

@@ -96,23 +96,11 @@ class Frontend:
             for cached, cached_index, encoded in self._cache:
                 if cached is view and cached_index == index:
                     return encoded
-        [encoded] = self._encode(view, index, roi or self.detect(view, index, prior))
+        region = roi or self.detect(view, index, prior)
+        [encoded] = self.encode_turned(view, index, region, (0.0,))
         if prior is None and roi is None:
             self._cache = [*self._cache[1 - _CACHED_VIEWS :], (view, index, encoded)]
         return encoded
-
-    def encode_turned(
-        self, view: View, index: int, roi: Roi, turns: Sequence[float]
-    ) -> list[EncodedView]:
-        """Votes in several crops of one region, as one batch.
-
-        Args:
-            view: picture and camera.
-            index: which object, in the networks' order.
-            roi: where it is.
-            turns: how far each crop is turned in the plane of the picture, radians.
-        """
-        return self._encode(view, index, roi, turns)
 
     @torch.inference_mode()
     def detect(self, view: View, index: int, prior: tuple[np.ndarray, float] | None = None) -> Roi:
@@ -131,9 +119,17 @@ class Frontend:
         )
 
     @torch.inference_mode()
-    def _encode(
-        self, view: View, index: int, roi: Roi, turns: Sequence[float] = (0.0,)
+    def encode_turned(
+        self, view: View, index: int, roi: Roi, turns: Sequence[float]
     ) -> list[EncodedView]:
+        """Votes in several crops of one region, as one batch.
+
+        Args:
+            view: picture and camera.
+            index: which object, in the networks' order.
+            roi: where it is.
+            turns: how far each crop is turned in the plane of the picture, radians.
+        """
         config = self.networks.features.config
         upright = crop_matrix(roi.centre, roi.side, config.crop)
         to_crops = [turn_matrix(turn, config.crop) @ upright for turn in turns]

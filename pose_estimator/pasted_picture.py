@@ -16,7 +16,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .bop import BopAnnotation
-from .bop_writer import NO_BOX, BopFrame, bounding_box
+from .bop_boxes import NO_BOX, bounding_box
+from .bop_writer import BopFrame
 from .cut_and_paste import blend
 from .geometry import make_transform
 

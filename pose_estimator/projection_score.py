@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .bop_writer import bounding_box
+from .bop_boxes import bounding_box
 from .geometry import project, transform
 from .overlay import Shape, silhouette
 

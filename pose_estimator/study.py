@@ -18,6 +18,7 @@ import numpy as np
 
 from ..assets.object_model import ObjectModel
 from .bop import BopDataset, BopImage, BopPair, read_dataset, read_depth, read_pairs, read_rgb
+from .bop_pairs import PAIRS_FILE
 from .estimate import PoseEstimate
 from .geometry import View, transform
 from .metrics import add_or_add_s
@@ -60,7 +61,7 @@ class StudySet:
         """
         pairs = read_pairs(root)
         if any(pair.gap is None for pair in pairs):
-            raise ValueError(f"{root / 'two_view_pairs.json'} has pairs without a gap")
+            raise ValueError(f"{root / PAIRS_FILE} has pairs without a gap")
         manifest = root / "manifest.json"
         description = json.loads(manifest.read_text()) if manifest.is_file() else {}
         return cls(name, read_dataset(root, split), pairs, description)

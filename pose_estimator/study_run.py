@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 import torch
 
 from . import load, study_fingerprint
+from .bop_pairs import PAIRS_FILE
 from .networks import PoseNetworks
 from .results import commit
 from .study import Estimator, StudySet, run_unit
@@ -95,7 +96,7 @@ class Study:
             "unit": asdict(unit),
             "networks": study_fingerprint.of_networks(networks, PARTS[unit.method]),
             "code": study_fingerprint.of_code(type(estimator)),
-            "pairs": study_fingerprint.of_file(test.dataset.root / "two_view_pairs.json"),
+            "pairs": study_fingerprint.of_file(test.dataset.root / PAIRS_FILE),
             "seed": self.config.seed,
         }
         path = self.config.out / "outcomes" / f"{unit.name}.jsonl"

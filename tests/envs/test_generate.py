@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from small_sets import file_bytes
 from two_view_pose.assets import load_object
 from two_view_pose.envs.camera import CameraRange, view_sphere_pose
 from two_view_pose.envs.generate import GenerateConfig, generate
@@ -43,10 +44,6 @@ def config(tmp_path_factory):
 def images(config):
     generate(config)
     return list(bop.read_dataset(config.out, config.split))
-
-
-def file_bytes(folder):
-    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
 def drawn_silhouette(model, T_cam_obj, K, shape):

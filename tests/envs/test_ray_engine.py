@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from small_sets import apes, file_bytes
 from two_view_pose.envs.generate import GenerateConfig, generate
 
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed")
@@ -18,21 +19,7 @@ needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not inst
 
 @pytest.fixture(scope="module")
 def config(tmp_path_factory: pytest.TempPathFactory) -> GenerateConfig:
-    config = GenerateConfig(
-        tmp_path_factory.mktemp("data") / "set",
-        scenes=5,
-        views=2,
-        objects=("ape",),
-        width=160,
-        height=120,
-        workers=1,
-    )
-    generate(config)
-    return config
-
-
-def file_bytes(folder: Path) -> dict[Path, bytes]:
-    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+    return apes(tmp_path_factory.mktemp("data") / "set", scenes=5)
 
 
 def descendants(process: int) -> dict[int, str]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_sets import file_bytes
 from two_view_pose.envs.generate import GenerateConfig, generate
 from two_view_pose.envs.scene_plan import plan_scene, reference_frames
 from two_view_pose.pose_estimator import bop
@@ -43,10 +44,6 @@ def heaps(config: GenerateConfig) -> GenerateConfig:
 def images(config: GenerateConfig) -> dict[tuple[int, int], bop.BopImage]:
     generate(config)
     return {(i.scene_id, i.image_id): i for i in bop.read_dataset(config.out, config.split)}
-
-
-def file_bytes(folder):
-    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
 def camera_centre(image: bop.BopImage) -> np.ndarray:

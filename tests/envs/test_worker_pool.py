@@ -13,27 +13,14 @@ from pathlib import Path
 
 import pytest
 import workers
+from small_sets import apes, file_bytes
 from two_view_pose.envs import worker_pool
 from two_view_pose.envs.generate import GenerateConfig, generate
 
 
-def file_bytes(folder: Path) -> dict[Path, bytes]:
-    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-
-
 @pytest.fixture(scope="module")
 def config(tmp_path_factory: pytest.TempPathFactory) -> GenerateConfig:
-    config = GenerateConfig(
-        tmp_path_factory.mktemp("data") / "set",
-        scenes=4,
-        views=2,
-        objects=("ape",),
-        width=160,
-        height=120,
-        workers=1,
-    )
-    generate(config)
-    return config
+    return apes(tmp_path_factory.mktemp("data") / "set", scenes=4)
 
 
 def test_a_worker_that_holds_too_much_is_replaced(

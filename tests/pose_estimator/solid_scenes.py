@@ -10,11 +10,11 @@ from boxes_with_depth import box_depth
 from scipy.spatial.transform import Rotation
 from two_view_pose.assets.object_model import ObjectModel
 from two_view_pose.pose_estimator.bop import BopAnnotation
+from two_view_pose.pose_estimator.bop_boxes import bounding_box
 from two_view_pose.pose_estimator.bop_models import write_models
 from two_view_pose.pose_estimator.bop_pairs import BopPair
 from two_view_pose.pose_estimator.bop_writer import (
     BopFrame,
-    bounding_box,
     write_camera,
     write_pairs,
     write_scene,

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import pytest
 from two_view_pose.pose_estimator.bop import BopAnnotation
+from two_view_pose.pose_estimator.bop_boxes import bounding_box
 from two_view_pose.pose_estimator.bop_coco import run_lengths, write_coco
-from two_view_pose.pose_estimator.bop_writer import BopFrame, bounding_box, write_scene
+from two_view_pose.pose_estimator.bop_writer import BopFrame, write_scene
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, make_transform
 
 

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from scipy.spatial import KDTree, cKDTree
+from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 from two_view_pose.assets import load_objects
-from two_view_pose.pose_estimator import bop
 from two_view_pose.pose_estimator.bop_models import (
     EVALUATION_FACES,
     evaluation_mesh,
     write_evaluation_models,
     write_models,
 )
+from two_view_pose.pose_estimator.bop_models_info import read_models_info
 
 OBJECTS = load_objects(["ape", "eggbox", "lamp"])
 
@@ -32,7 +32,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("name", OBJECTS)
 def test_decimated_meshes_have_the_shape_and_the_diameter(root: Path, name: str) -> None:
-    info = bop.read_models_info(root, "models_eval")[OBJECTS[name].obj_id]
+    info = read_models_info(root, "models_eval")[OBJECTS[name].obj_id]
     mesh = trimesh.load_mesh(info.mesh_path, process=False)
     whole = trimesh.load_mesh(root / "models" / info.mesh_path.name, process=False)
     assert len(mesh.faces) <= EVALUATION_FACES < len(whole.faces)
@@ -43,7 +43,7 @@ def test_decimated_meshes_have_the_shape_and_the_diameter(root: Path, name: str)
     # Dense samples stand for the surfaces; they lie half a percent of the diameter apart.
     dense = {part: surface.sample(60_000, seed=0) for part, surface in ((0, mesh), (1, whole))}
     for part in dense:
-        away, _ = cKDTree(dense[1 - part]).query(dense[part][:2000])
+        away, _ = KDTree(dense[1 - part]).query(dense[part][:2000])
         assert away.max() < 0.015 * 1000 * info.diameter
 
 

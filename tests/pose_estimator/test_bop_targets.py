@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 from two_view_pose.pose_estimator import bop
+from two_view_pose.pose_estimator.bop_boxes import NO_BOX
 from two_view_pose.pose_estimator.bop_targets import is_test, write_targets
-from two_view_pose.pose_estimator.bop_writer import NO_BOX, BopFrame, write_scene
+from two_view_pose.pose_estimator.bop_writer import BopFrame, write_scene
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, make_transform
 
 

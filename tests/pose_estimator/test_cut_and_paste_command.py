@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from two_view_pose.pose_estimator.bop import read_dataset, read_mask, read_models_info, read_rgb
+from two_view_pose.pose_estimator.bop import read_dataset, read_mask, read_rgb
 from two_view_pose.pose_estimator.bop_models import write_models
+from two_view_pose.pose_estimator.bop_models_info import read_models_info
 from two_view_pose.pose_estimator.bop_writer import write_scene
 from two_view_pose.pose_estimator.cut_and_paste_command import (
     CutAndPasteCommand,
