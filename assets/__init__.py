@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 from .object_model import ObjectModel
 from .storage import read_object
 
-__all__ = ["OBJECT_NAMES", "ObjectModel", "load_object", "load_objects"]
+__all__ = ["OBJECT_NAMES", "ObjectModel", "load_object", "load_objects", "split_name"]
 
 OBJECT_NAMES: tuple[str, ...] = (
     "ape",
@@ -36,7 +37,7 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
 
     Args:
         name_or_path: one of ``OBJECT_NAMES``, a mesh file (PLY, OBJ, STL, GLB) or the folder of a
-            built object (model.glb and object.json).
+            built object (model.glb and object.json). "NAME=PATH" calls the object of a path so.
 
     Raises:
         ValueError: if it is neither a known name nor a path, or the file is not a usable mesh.
@@ -44,17 +45,26 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
     """
     if str(name_or_path) in OBJECT_NAMES:
         return _load_shipped(str(name_or_path))
-    path = Path(name_or_path)
-    if not path.exists() and not path.suffix and path.name == str(name_or_path):
+    name, path = split_name(name_or_path)
+    if name is None and not path.exists() and not path.suffix and path.name == str(name_or_path):
         raise ValueError(
             f"unknown object {name_or_path!r}: it must be one of {', '.join(OBJECT_NAMES)}, "
             "or the path of a mesh file (.ply, .obj, .stl, .glb)"
         )
     if (path / "object.json").is_file():
-        return read_object(path)
+        model = read_object(path)
+        return model if name is None else replace(model, name=name)
     from .mesh_import import import_mesh
 
-    return import_mesh(path)
+    return import_mesh(path, name)
+
+
+def split_name(name_or_path: str | Path) -> tuple[str | None, Path]:
+    """Parts "NAME=PATH"; the name is None where there is none, or a path itself holds an "="."""
+    name, equals, path = str(name_or_path).partition("=")
+    if equals and name.isidentifier() and not Path(name_or_path).exists():
+        return name, Path(path)
+    return None, Path(name_or_path)
 
 
 def load_objects(

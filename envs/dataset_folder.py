@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..pose_estimator.bop_writer import write_json
 from ..pose_estimator.results import versions
 from .checksums import SUMS_FILE
+from .scene_plan import target_names
 
 if TYPE_CHECKING:
     from .generate import GenerateConfig
@@ -26,7 +27,12 @@ _ONLY_WITH = {
 }
 """Settings that mean something with some samplings only."""
 
-_BEFORE = {"sampling": "sphere", "layout": "basic"}
+_BEFORE: dict[str, Any] = {
+    "sampling": "sphere",
+    "layout": "basic",
+    "look": "tidy",
+    "distractors": [],
+}
 """What versions did that did not know these settings."""
 
 _TEMPORARY = re.compile(r"\..+\.(\d+)\.tmp")
@@ -52,17 +58,20 @@ def claim_folder(config: GenerateConfig, object_names: tuple[str, ...]) -> Gener
     before = json.loads(path.read_text())["settings"] if path.exists() else None
     if before is not None and "layout" not in before:
         config = replace(config, layout="basic")
-    settings = _settings(config, object_names)
+    everything = _settings(config, object_names)
+    # What is as it was before there was a choice is not written.
+    settings = {k: v for k, v in everything.items() if k not in _BEFORE or v != _BEFORE[k]}
     if before is not None:
         # What an older version did not know was as it is by default now.
         defaults = _as_json({f.name: f.default for f in fields(config) if f.name in settings})
         before = defaults | _BEFORE | before
-        wanted = settings | {name: getattr(config, name) for name in _BEFORE}
-        changed = [name for name in wanted if before.get(name) != wanted[name]]
+        changed = [name for name in everything if before.get(name) != everything[name]]
         if changed:
             raise ValueError(
                 f"{config.out} holds a dataset with other settings: "
-                + ", ".join(f"{k} is {before.get(k)!r} there, {wanted[k]!r} here" for k in changed)
+                + ", ".join(
+                    f"{k} is {before.get(k)!r} there, {everything[k]!r} here" for k in changed
+                )
             )
     config.out.mkdir(parents=True, exist_ok=True)
     content = {"settings": settings, "scenes": config.scenes, "versions": versions()}
@@ -84,11 +93,13 @@ def remove_leftovers(*folders: Path) -> None:
 
 def _settings(config: GenerateConfig, object_names: tuple[str, ...]) -> dict[str, Any]:
     """What fixes the bytes of every scene, as it comes back from a file."""
-    settings: dict[str, Any] = asdict(config) | {"objects": object_names}
+    names = {
+        "objects": target_names(config, object_names),
+        "distractors": object_names[len(object_names) - len(config.distractors) :],
+    }
     aside = {*_ASIDE, *(k for k, kinds in _ONLY_WITH.items() if config.sampling not in kinds)}
-    # As it was written before there was a choice.
-    aside |= {name for name, value in _BEFORE.items() if settings[name] == value}
-    return _as_json({name: value for name, value in settings.items() if name not in aside})
+    settings = {k: v for k, v in (asdict(config) | names).items() if k not in aside}
+    return _as_json(settings)
 
 
 def _as_json(settings: dict[str, Any]) -> dict[str, Any]:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 SceneKind = Literal["linemod", "occlusion", "heap", "mixed", "all"]
 Sampling = Literal["sphere", "hand-held", "mixed", "stereo"]
 Layout = Literal["full", "basic"]
+Look = Literal["tidy", "busy"]
 
 
 @dataclass(frozen=True)
@@ -42,8 +43,10 @@ class GenerateConfig:
     """Pictures of each scene, the first of them the reference view; of hand-held scenes, the frames
     of the sequence."""
     objects: tuple[str, ...] = ()
-    """Names of our objects, mesh files or folders of them; empty: all thirteen. Each is the target
-    equally often."""
+    """Names of our objects, mesh files (NAME=FILE calls one so) or folders of them; empty: all
+    thirteen. Each is the target equally often."""
+    distractors: tuple[str, ...] = ()
+    """Further objects that stand around, are annotated too, and are never the target."""
     scene: SceneKind = "mixed"
     """Light clutter, heavy clutter, eight objects in a heap, the first two by turns, or all three
     by turns."""
@@ -97,6 +100,9 @@ class GenerateConfig:
     """Quality of the JPEG pictures, 1 to 100; 0 writes PNG."""
     randomize: bool = True
     """Random lights, textures, materials and sensor; otherwise one neutral look."""
+    look: Look = "tidy"
+    """Tidy: furniture in plain materials. Busy: posters and markers everywhere, stronger light,
+    colours and noise, a camera held askew; for estimators that shall work on photographs."""
     verify: bool = False
     """Render nothing: check every file that is there, and name those that are missing, changed or
     extra. Needs nothing but --out."""
@@ -115,7 +121,7 @@ class GenerateConfig:
             low, high = getattr(self, name)
             if not 0 <= low <= high <= 150:
                 raise ValueError(f"{name} must rise within 0 to 150 degrees, got {(low, high)}")
-        choices = {"scene": SceneKind, "sampling": Sampling, "layout": Layout}
+        choices = {"scene": SceneKind, "sampling": Sampling, "layout": Layout, "look": Look}
         for name, allowed in ((name, get_args(kind)) for name, kind in choices.items()):
             if getattr(self, name) not in allowed:
                 raise ValueError(
@@ -157,15 +163,15 @@ def generate(config: GenerateConfig) -> int:
         GraphicsUnavailable: if there is no OpenGL to draw with.
         ChildProcessError: if workers die again and again.
     """
-    from ..assets import load_objects
     from ..pose_estimator.bop_writer import scene_folder
     from .checksums import SUMS_FILE, verify
     from .dataset_folder import claim_folder
+    from .scene_plan import dataset_objects
     from .scene_writer import is_finished
 
     if config.verify:
         return min(1, verify(config.out))
-    objects = load_objects(config.objects or None)
+    objects = dataset_objects(config)
     config = claim_folder(config, tuple(objects))
     (config.out / SUMS_FILE).unlink(missing_ok=True)  # it says that the run is finished
     _write_models(config, objects)

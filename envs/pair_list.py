@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ from ..pose_estimator.bop_models_info import read_models_info
 from ..pose_estimator.bop_pairs import BopPair
 from ..pose_estimator.bop_targets import LEAST_VISIBLE
 from ..pose_estimator.geometry import invert
-from .scene_plan import ScenePlan, plan_scene
+from .scene_plan import plan_scene, target_names
 from .view_spread import viewing_angle
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ def two_view_pairs(config: GenerateConfig) -> Iterator[BopPair]:
         plan = plan_scene(config, scene_id, tuple(obj_ids))
         images = dataset.scene(scene_id)
         target = obj_ids[plan.target]
+        targets = [obj_ids[name] for name in target_names(config, tuple(obj_ids))]
         for first, second in plan.pairs:
             pair = _pair(images[first], images[second], target)
             if config.layout == "full":
@@ -42,16 +43,17 @@ def two_view_pairs(config: GenerateConfig) -> Iterator[BopPair]:
                 if config.pair_angles[0] <= pair.baseline_deg <= config.pair_angles[1]:
                     yield pair
                 continue
-            for obj_id in _targets(plan, images[first], target):
+            for obj_id in _shown(images[first], targets if plan.kind == "heap" else [target]):
                 gap = None if plan.stereo else second - first
                 yield replace(pair, target_obj_id=obj_id, gap=gap)
 
 
-def _targets(plan: ScenePlan, reference: BopImage, target: int) -> list[int]:
+def _shown(reference: BopImage, targets: Sequence[int]) -> list[int]:
+    """Those of the targets that can be seen."""
     return [
         a.obj_id
         for a in reference.annotations
-        if a.visibility >= LEAST_VISIBLE and (plan.kind == "heap" or a.obj_id == target)
+        if a.visibility >= LEAST_VISIBLE and a.obj_id in targets
     ]
 
 

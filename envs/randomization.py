@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .sensor import SensorConfig
-from .textures import PATTERNS, procedural_texture
+from .textures import PATTERNS, PRINTED, procedural_texture
 from .world import (
     FLOOR_TEXTURE,
     LIGHTS,
@@ -35,7 +35,9 @@ class Randomization:
         colour_temperature: how strongly lamps turn yellow or blue, 0 to 1.
         shadow_probability: how often the first lamp casts shadows.
         textures: whether table, walls, floor and plain shapes get new textures and colours.
-        table_patterns: patterns the table is drawn from.
+        table_patterns: patterns the table is drawn from; one that is named twice is twice as
+            frequent.
+        room_patterns: the same for walls, floor and plain shapes.
         texture_repeat: fewest and most repeats of the table's texture along its long side.
         material_jitter: largest change of specularity and shininess, added.
         brightness_jitter: largest change of an object's brightness, as a fraction.
@@ -55,6 +57,7 @@ class Randomization:
     shadow_probability: float = 0.7
     textures: bool = True
     table_patterns: tuple[str, ...] = PATTERNS
+    room_patterns: tuple[str, ...] = PATTERNS
     texture_repeat: tuple[float, float] = (1.0, 4.0)
     material_jitter: float = 0.15
     brightness_jitter: float = 0.12
@@ -72,11 +75,36 @@ class Randomization:
                 raise ValueError(f"{name} must be (lowest, highest), got {(low, high)}")
         if not 0 <= self.shadow_probability <= 1:
             raise ValueError(f"shadow_probability is {self.shadow_probability}, not in 0 to 1")
-        for pattern in self.table_patterns:
-            if pattern not in PATTERNS:
-                raise ValueError(f"table_patterns must be among {PATTERNS}, got {pattern!r}")
-        if self.textures and not self.table_patterns:
-            raise ValueError("table_patterns must name a pattern, or textures must be False")
+        for name in ("table_patterns", "room_patterns"):
+            patterns, known = getattr(self, name), PATTERNS + PRINTED
+            for pattern in patterns:
+                if pattern not in known:
+                    raise ValueError(f"{name} must be among {known}, got {pattern!r}")
+            if self.textures and not patterns:
+                raise ValueError(f"{name} must name a pattern, or textures must be False")
+
+    @classmethod
+    def busy(cls) -> Randomization:
+        """What photographs of real desks ask for: posters, magazines and calibration boards lie
+        around, the light is anything, colours of objects are not those of their models, the camera
+        is held askew and its pictures are noisy."""
+        return cls(
+            lamp_power=(0.4, 1.0),
+            ambient=(0.28, 0.65),
+            colour_temperature=0.2,
+            table_patterns=PATTERNS + 4 * ("collage",) + 2 * ("markers",),
+            room_patterns=PATTERNS + 5 * ("collage",),
+            texture_repeat=(0.7, 3.0),
+            material_jitter=0.3,
+            brightness_jitter=0.3,
+            hue_jitter=0.12,
+            camera_roll=np.deg2rad(40.0),
+            look_at_noise=0.25,
+            sensor=SensorConfig(
+                exposure=0.3, white_balance=0.12, gamma=0.2, blur=1.3, noise=9.0,
+                jpeg_probability=0.5, jpeg_quality=(40, 95),
+            ),
+        )  # fmt: skip
 
     @classmethod
     def none(cls) -> Randomization:
@@ -207,7 +235,7 @@ def _set_textures(world: World, config: Randomization, rng: np.random.Generator)
     model = world.model
     changed = []
     for name, size in _ROOM.items():
-        patterns = config.table_patterns if name == "table" else PATTERNS
+        patterns = config.table_patterns if name == "table" else config.room_patterns
         pattern = patterns[rng.integers(len(patterns))]
         wooden = rng.uniform() < (0.7 if pattern == "wood" else 0.15)
         colours = _two_colours(rng, 0.5 if name == "table" else 0.35, wooden)
@@ -217,7 +245,7 @@ def _set_textures(world: World, config: Randomization, rng: np.random.Generator)
         model.mat_specular[world.materials[name]] = rng.uniform(0.0, 0.25)
         model.mat_shininess[world.materials[name]] = rng.uniform(0.0, 0.6)
     for i in range(SHAPE_TEXTURES):
-        pattern = PATTERNS[rng.integers(len(PATTERNS))]
+        pattern = config.room_patterns[rng.integers(len(config.room_patterns))]
         white = np.array([[0.95] * 3, rng.uniform(0.3, 0.95, 3)])
         image = procedural_texture(rng, SHAPE_TEXTURE, pattern, white)
         changed.append(set_texture(world, f"shape{i}", image))

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import worker_pool
@@ -95,10 +94,17 @@ def _cluster(config: GenerateConfig) -> dict[str, Any]:
 
 def _for_all_machines(config: GenerateConfig) -> GenerateConfig:
     """The configuration with paths that do not depend on the folder that a program runs in."""
-    from ..assets import OBJECT_NAMES
+    from ..assets import OBJECT_NAMES, split_name
 
-    objects = tuple(
-        str(Path(item).resolve()) if item not in OBJECT_NAMES and Path(item).exists() else item
-        for item in config.objects
+    def absolute(item: str) -> str:
+        name, path = split_name(item)
+        if item in OBJECT_NAMES or not path.exists():
+            return item
+        return f"{name}={path.resolve()}" if name is not None else str(path.resolve())
+
+    return replace(
+        config,
+        out=config.out.resolve(),
+        objects=tuple(absolute(item) for item in config.objects),
+        distractors=tuple(absolute(item) for item in config.distractors),
     )
-    return replace(config, out=config.out.resolve(), objects=objects)

@@ -16,6 +16,7 @@ import numpy as np
 from .stereo import rig_pairs
 
 if TYPE_CHECKING:
+    from ..assets.object_model import ObjectModel
     from .generate import GenerateConfig
 
 TURNS = {"mixed": ("linemod", "occlusion"), "all": ("linemod", "occlusion", "heap")}
@@ -43,11 +44,32 @@ class ScenePlan:
     stereo: bool = False
 
 
+def dataset_objects(config: GenerateConfig) -> dict[str, ObjectModel]:
+    """All objects of a dataset by name, the distractors last.
+
+    Raises:
+        ValueError: if a distractor is a folder of several, or as ``load_objects``.
+    """
+    from ..assets import OBJECT_NAMES, load_objects
+
+    if not config.distractors:
+        return load_objects(config.objects or None)
+    if len(load_objects(config.distractors)) != len(config.distractors):
+        raise ValueError("distractors must be named one by one, not as a folder of several")
+    return load_objects([*(config.objects or OBJECT_NAMES), *config.distractors])
+
+
+def target_names(config: GenerateConfig, names: Sequence[str]) -> Sequence[str]:
+    """Those of a dataset's objects, in the order of :func:`dataset_objects`, that are targets."""
+    return names[: len(names) - len(config.distractors)]
+
+
 def plan_scene(config: GenerateConfig, scene_id: int, names: Sequence[str]) -> ScenePlan:
     """What scene ``scene_id`` is; ``names`` are those of the dataset's objects."""
-    target = names[scene_id % len(names)]
+    targets = target_names(config, names)
+    target = targets[scene_id % len(targets)]
     kinds = TURNS.get(config.scene, (config.scene,))
-    turn = scene_id // len(names)
+    turn = scene_id // len(targets)
     kind = kinds[turn % len(kinds)]
     if config.sampling == "stereo":
         frames = tuple(range(config.views))

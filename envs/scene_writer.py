@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..assets import load_objects
 from ..assets.object_model import ObjectModel
 from ..pose_estimator.bop import BopAnnotation
 from ..pose_estimator.bop_boxes import NO_BOX, bounding_box
@@ -30,7 +29,7 @@ from .depth_sensor import DepthSensorConfig, apply_depth_sensor
 from .randomization import Randomization
 from .renderer import SceneRenderer
 from .scene import Scene, SceneConfig, SceneState
-from .scene_plan import ScenePlan, plan_scene
+from .scene_plan import ScenePlan, dataset_objects, plan_scene
 from .sensor import SensorState, apply_sensor
 from .sequence import CENTRE_JITTER, draw_path
 from .stereo import rig_frames
@@ -49,8 +48,9 @@ class SceneMaker:
 
     def __init__(self, config: GenerateConfig) -> None:
         self._config = config
-        self._objects = load_objects(config.objects or None)
-        self._randomization = Randomization() if config.randomize else Randomization.none()
+        self._objects = dataset_objects(config)
+        look = Randomization.busy() if config.look == "busy" else Randomization()
+        self._randomization = look if config.randomize else Randomization.none()
         self._renderers: dict[str, tuple[Scene, SceneRenderer]] = {}
         self._K = scaled_intrinsics(config.height, config.width)
 

@@ -1,6 +1,6 @@
 """Procedural textures: what tables, walls and plain shapes are covered with.
 
-Every texture is (size, size, 3) uint8 and tiles without a seam.
+Every texture is (size, size, 3) uint8; all but collages and markers tile without a seam.
 """
 
 from __future__ import annotations
@@ -8,7 +8,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from ..pose_estimator.collage import draw_collage, draw_markers
+
 PATTERNS = ("plain", "noise", "wood", "checker", "gradient", "speckle")
+"""What furniture is made of."""
+
+PRINTED = ("collage", "markers")
+"""What lies on it, in colours of its own: posters and magazines, calibration boards."""
 
 
 def procedural_texture(
@@ -22,12 +28,17 @@ def procedural_texture(
     Args:
         rng: where its random parts come from.
         size: side in pixels.
-        pattern: one of :data:`PATTERNS`.
-        colours: two colours in [0, 1], (2, 3); the pattern goes from one to the other.
+        pattern: one of :data:`PATTERNS` or :data:`PRINTED`.
+        colours: two colours in [0, 1], (2, 3); the pattern goes from one to the other. Printed
+            ones have their own.
 
     Raises:
         ValueError: if the pattern is unknown.
     """
+    if pattern == "collage":
+        return draw_collage(rng, size)
+    if pattern == "markers":
+        return draw_markers(rng, size)
     if pattern == "plain":
         mix = 0.12 * fractal_noise(rng, size, 8)
     elif pattern == "noise":
@@ -45,7 +56,7 @@ def procedural_texture(
         mix = 0.3 * fractal_noise(rng, size, 6)
         mix += rng.random((size, size), dtype=np.float32) > rng.uniform(0.9, 0.99)
     else:
-        raise ValueError(f"pattern must be one of {PATTERNS}, got {pattern!r}")
+        raise ValueError(f"pattern must be one of {PATTERNS + PRINTED}, got {pattern!r}")
     steps = np.linspace(0.0, 1.0, 256)[:, None]
     low, high = np.asarray(colours)
     ramp = np.clip(255.0 * (low + (high - low) * steps), 0, 255).astype(np.uint8)

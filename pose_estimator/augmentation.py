@@ -15,24 +15,60 @@ class AugmentationConfig:
     Attributes:
         shift: standard deviation of the crop's centre, in sides of the crop.
         scale: standard deviation of the logarithm of its side.
-        turn: largest in-plane turn, radians.
+        turn: largest in-plane turn of a crop, radians.
+        frame_turn: the same of a whole frame for the detector.
+        frame_scale: largest logarithm of a whole frame's scale.
         brightness: standard deviation of the logarithm of the exposure.
         contrast: standard deviation of the logarithm of the contrast.
         white_balance: standard deviation of the logarithm of each channel's gain.
         noise: largest standard deviation of the pixel noise, in levels.
         blur: probability of a slight blur.
         erase: probability that a random box hides a part of the picture.
+        saturation: standard deviation of the logarithm of the colours' strength.
+        shade: probability that one side lies in another light.
+        motion: probability of a blur along a line.
+        sharpen: probability of sharpening, as webcams do it.
+        coarse: probability that the picture is of fewer pixels and enlarged.
     """
 
     shift: float = 0.04
     scale: float = 0.07
     turn: float = 0.25
+    frame_turn: float = 0.15
+    frame_scale: float = 0.15
     brightness: float = 0.15
     contrast: float = 0.12
     white_balance: float = 0.05
     noise: float = 6.0
     blur: float = 0.2
     erase: float = 0.1
+    saturation: float = 0.0
+    shade: float = 0.0
+    motion: float = 0.0
+    sharpen: float = 0.0
+    coarse: float = 0.0
+
+    @classmethod
+    def strong(cls) -> AugmentationConfig:
+        """What lies between renders and photographs: any light, webcams, boxes drawn carelessly."""
+        return cls(
+            shift=0.06,
+            scale=0.1,
+            turn=0.35,
+            frame_turn=0.3,
+            frame_scale=0.3,
+            brightness=0.22,
+            contrast=0.2,
+            white_balance=0.08,
+            noise=12.0,
+            blur=0.35,
+            erase=0.25,
+            saturation=0.3,
+            shade=0.4,
+            motion=0.15,
+            sharpen=0.3,
+            coarse=0.2,
+        )
 
 
 def jitter_affine(
@@ -49,9 +85,9 @@ def jitter_affine(
     Returns:
         (3, 3) affine map, around the crops' centres; the caller shifts it to pixel coordinates.
     """
-    scale = zoom * np.exp(np.clip(rng.normal(0, config.scale), -0.2, 0.2))
+    scale = zoom * np.exp(np.clip(rng.normal(0, config.scale), -0.25, 0.25))
     angle = rng.uniform(-config.turn, config.turn)
-    shift = np.clip(rng.normal(0, config.shift, 2), -0.12, 0.12) * side
+    shift = np.clip(rng.normal(0, config.shift, 2), -0.15, 0.15) * side
     cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
     return np.array([[cosine, -sine, shift[0]], [sine, cosine, shift[1]], [0, 0, 1.0]])
 
@@ -94,8 +130,20 @@ def augment_colours(
     table = (levels - 127) * contrast + 127
     table = np.clip(table * gain, 0, 255).astype(np.uint8)
     out = cv2.LUT(picture, np.ascontiguousarray(table[:, None, :].reshape(1, 256, 3)))
+    if config.saturation:
+        out = _saturate(out, float(np.exp(rng.normal(0, config.saturation))))
+    if _happens(config.shade, rng):
+        out = _shade(out, rng)
+    if _happens(config.coarse, rng):
+        out = _enlarge(out, rng.uniform(0.35, 0.8))
     if rng.random() < config.blur:
         out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.4, 1.2))
+    if _happens(config.motion, rng):
+        out = cv2.filter2D(out, -1, _line_kernel(rng))
+    if _happens(config.sharpen, rng):
+        smooth = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.8, 2.0))
+        strength = rng.uniform(0.3, 1.5)
+        out = cv2.addWeighted(out, 1 + strength, smooth, -strength, 0)
     sigma = rng.uniform(0, config.noise)
     if sigma > 1:
         noise = np.empty(out.shape, np.int16)
@@ -103,3 +151,45 @@ def augment_colours(
         cv2.randn(noise, 0, sigma)  # type: ignore[call-overload]
         out = np.clip(out + noise, 0, 255).astype(np.uint8)
     return out
+
+
+def _happens(probability: float, rng: np.random.Generator) -> bool:
+    """Draws nothing where the probability is 0: other draws stay what they were without it."""
+    return probability > 0 and rng.random() < probability
+
+
+def _saturate(picture: np.ndarray, strength: float) -> np.ndarray:
+    """Moves colours away from grey, or towards it below 1."""
+    grey = cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+    return cv2.addWeighted(picture, strength, grey, 1 - strength, 0)
+
+
+def _shade(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Light that changes over the picture: softly, or along the edge of a shadow."""
+    height, width = picture.shape[:2]
+    light = rng.uniform(0.5, 1.2, (int(rng.integers(2, 5)), int(rng.integers(2, 5))))
+    smooth = cv2.resize(light.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+    if rng.random() < 0.4:
+        angle, middle = rng.uniform(0, 2 * np.pi), rng.uniform(-0.3, 0.3)
+        x, y = np.linspace(-0.5, 0.5, width), np.linspace(-0.5, 0.5, height)
+        side = np.cos(angle) * x[None] + np.sin(angle) * y[:, None] > middle
+        smooth = smooth * np.where(side, rng.uniform(0.4, 0.9), 1.0).astype(np.float32)
+    return cv2.multiply(picture, cv2.merge([smooth] * 3), dtype=cv2.CV_8U)
+
+
+def _enlarge(picture: np.ndarray, share: float) -> np.ndarray:
+    """The picture as it would look with ``share`` of its rows and columns."""
+    height, width = picture.shape[:2]
+    small = cv2.resize(picture, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+    return cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def _line_kernel(rng: np.random.Generator) -> np.ndarray:
+    """The blur of a camera that moves during the exposure, 3 to 7 pixels long."""
+    side = int(rng.choice([3, 5, 7]))
+    kernel = np.zeros((side, side), np.float32)
+    angle = rng.uniform(0, np.pi)
+    reach = (side - 1) / 2 * np.array([np.cos(angle), np.sin(angle)])
+    start, end = (np.rint((side - 1) / 2 + s * reach).astype(int).tolist() for s in (-1, 1))
+    cv2.line(kernel, start, end, 1.0)
+    return kernel / kernel.sum()

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from .collage import draw_collage
 from .crops import STORED_SIDE, CropPack
 
 BANK = 384
@@ -31,6 +32,7 @@ class CutAndPasteConfig:
     Attributes:
         occlude: probability that another object is pasted over the crop.
         background: probability that everything but the target is replaced.
+        collages: share of the new backgrounds that are drawn (``collage``) instead of cut out.
 
     Raises:
         ValueError: if one is not from 0 to 1.
@@ -38,9 +40,10 @@ class CutAndPasteConfig:
 
     occlude: float = 0.0
     background: float = 0.0
+    collages: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("occlude", "background"):
+        for name in ("occlude", "background", "collages"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"cut-and-paste: {name} must be 0 to 1, got {getattr(self, name)}")
 
@@ -68,6 +71,8 @@ class CropPaster:
         rng = np.random.default_rng(0)
         self.bank = np.sort(rng.choice(whole, min(BANK, len(whole)), replace=False))
         self._pieces: dict[int, np.ndarray] = {}
+        drawn = BANK if config.collages > 0 else 0
+        self._collages = [draw_collage(rng, STORED_SIDE) for _ in range(drawn)]
         kinds, frames = pack.object_index[self.bank], pack.frame_index[self.bank]
         numbers = range(len(pack.object_names))
         self._occluders = [self.bank[kinds != number] for number in numbers]
@@ -80,8 +85,8 @@ class CropPaster:
             (what, any(len(pieces[number]) for number in shown))
             for what, probability, pieces in (
                 ("a second object to put before one", config.occlude, self._occluders),
-                ("a frame that lacks an object to put behind it", config.background,
-                 self._backgrounds),
+                ("a frame that lacks an object to put behind it",
+                 config.background * (not self._collages), self._backgrounds),
             )
             if probability > 0
         ]  # fmt: skip
@@ -112,9 +117,10 @@ class CropPaster:
             New crop, mask and depth; the depth is unknown where something was pasted.
         """
         backgrounds, occluders = self._backgrounds[object_index], self._occluders[object_index]
-        if rng.random() < self.config.background and len(backgrounds):
-            piece = self._piece(int(backgrounds[rng.integers(len(backgrounds))]))
-            crop = blend(_window(piece[..., :3], len(mask), rng), crop, mask)
+        possible = len(backgrounds) or len(self._collages)
+        if rng.random() < self.config.background and possible:
+            picture = self._background(backgrounds, rng)
+            crop = blend(_window(picture, len(mask), rng), crop, mask)
             depth = None if depth is None else np.where(mask > 127, depth, np.float32(0))
         if rng.random() < self.config.occlude and len(occluders):
             piece = self._piece(int(occluders[rng.integers(len(occluders))]))
@@ -128,6 +134,13 @@ class CropPaster:
                 crop, mask = blend(crop, np.ascontiguousarray(moved[..., :3]), over), left
                 depth = None if depth is None else np.where(over > 0, np.float32(0), depth)
         return crop, mask, depth
+
+    def _background(self, backgrounds: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """What is put behind a target (192, 192, 3): drawn, or one of ``backgrounds``."""
+        drawn = self.config.collages > 0 and rng.random() < self.config.collages
+        if drawn or not len(backgrounds):
+            return self._collages[rng.integers(len(self._collages))]
+        return self._piece(int(backgrounds[rng.integers(len(backgrounds))]))[..., :3]
 
     def _piece(self, target: int) -> np.ndarray:
         """A stored crop with its mask as fourth channel, (192, 192, 4), decoded once."""

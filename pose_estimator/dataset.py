@@ -220,8 +220,9 @@ class TrainingSet:
         to_small = np.linalg.inv(pack.frame_to_image[frame])
         moved = np.eye(3)
         if self.augmentation is not None:
-            scale = np.exp(rng.uniform(-0.15, 0.15))
-            angle = rng.uniform(-0.15, 0.15)
+            bent = self.augmentation
+            scale = np.exp(rng.uniform(-bent.frame_scale, bent.frame_scale))
+            angle = rng.uniform(-bent.frame_turn, bent.frame_turn)
             middle = np.array([(config.width - 1) / 2, (config.height - 1) / 2])
             shift = rng.uniform(-0.06, 0.06, 2) * (config.width, config.height)
             cosine, sine = scale * np.cos(angle), scale * np.sin(angle)

@@ -108,19 +108,20 @@ def open_data(
     config: TrainEstimatorConfig, networks: PoseNetworks
 ) -> tuple[TrainingSet, TrainingSet]:
     """The pictures to train on and those that are held out; they are packed at the first time."""
+    from .augmentation import AugmentationConfig
     from .crops import pack_dataset
     from .cut_and_paste import CutAndPasteConfig
     from .dataset import TrainingSet
 
     pack = pack_dataset(config.data, networks.objects, split=config.split)
     shape = networks.config.features
-    chance = config.cut_and_paste
-    paste = CutAndPasteConfig(occlude=chance, background=chance) if chance else None
+    chance, strong = config.cut_and_paste, config.augmentation == "strong"
+    bent = AugmentationConfig.strong() if strong else AugmentationConfig()
+    paste = CutAndPasteConfig(chance, chance, collages=0.5 * strong) if chance else None
+    share = config.validation
     return (
-        TrainingSet(
-            pack, networks.objects, shape, validation=config.validation, cut_and_paste=paste
-        ),
-        TrainingSet(pack, networks.objects, shape, validation=config.validation, held_out=True),
+        TrainingSet(pack, networks.objects, shape, bent, validation=share, cut_and_paste=paste),
+        TrainingSet(pack, networks.objects, shape, bent, validation=share, held_out=True),
     )
 
 
@@ -239,6 +240,7 @@ def header(
             "batch": {name: config.stage(name).batch for name in done},
             "seed": config.seed,
             "cut_and_paste": config.cut_and_paste,
+            "augmentation": config.augmentation,
             "encoder": "EfficientNet-Lite0, ImageNet (Apache-2.0)" if config.pretrained else "none",
         },
         "held_out": dict(held_out),

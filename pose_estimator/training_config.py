@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from .parts import STAGES
 
@@ -88,6 +89,10 @@ class TrainEstimatorConfig:
     cut_and_paste: float = 0.0
     """Probability that another object is pasted over a crop, and that its background is replaced by
     a piece of another picture."""
+    augmentation: Literal["mild", "strong"] = "mild"
+    """How far pictures are changed. Mild: as for rendered ones. Strong: for estimators that shall
+    work on photographs; any light, blur, noise and colours, careless regions of interest, and half
+    of --cut-and-paste's new backgrounds are drawn collages."""
     init: str | None = None
     """Weights to start from instead of ImageNet: the name of shipped ones, or a .safetensors file.
     What is not trained anew is kept. Of other objects' weights, or those of another preset, the
@@ -113,6 +118,8 @@ class TrainEstimatorConfig:
                 raise ValueError(f"{name} must be finite and at least 0, got {getattr(self, name)}")
         if not 0 <= self.cut_and_paste <= 1:
             raise ValueError(f"cut_and_paste must be 0 to 1, got {self.cut_and_paste}")
+        if self.augmentation not in ("mild", "strong"):
+            raise ValueError(f"augmentation must be mild or strong, got {self.augmentation!r}")
         unknown = [stage for stage in self.stages if stage not in STAGES]
         if unknown:
             raise ValueError(f"unknown stages {unknown}; there are {', '.join(STAGES)}")
