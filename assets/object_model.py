@@ -32,6 +32,8 @@ class ObjectModel:
             the first is upright, the others in order of falling probability.
         specular: MuJoCo material specularity, 0 to 1.
         shininess: MuJoCo material shininess, 0 to 1.
+        has_surface: whether the mesh is the object's. Weights for objects whose meshes must not be
+            passed on hold the bounding box in its place, which no error may be measured on.
     """
 
     name: str
@@ -47,6 +49,7 @@ class ObjectModel:
     stable_poses: np.ndarray
     specular: float = field(default=0.2)
     shininess: float = field(default=0.3)
+    has_surface: bool = True
 
     @property
     def symmetric(self) -> bool:

@@ -1,4 +1,7 @@
-"""Objects as files: ``model.glb`` for every mesh viewer, ``object.json`` for exact numbers."""
+"""Objects as files: ``model.glb`` for every mesh viewer, ``object.json`` for exact numbers.
+
+An object whose surface must not be passed on is ``object.json`` alone, with its bounding box.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +22,11 @@ MESH_FILE = "model.glb"
 NUMBERS_FILE = "object.json"
 
 _ARRAYS = ("keypoints", "symmetries", "stable_poses", "points")
+_WITHOUT_SURFACE = ("keypoints", "symmetries")
 _SCALARS = ("name", "obj_id", "diameter", "specular", "shininess")
 
 
-def save_object(model: ObjectModel, folder: str | Path) -> None:
+def save_object(model: ObjectModel, folder: str | Path, *, surface: bool = True) -> None:
     """Writes an object so that the same object gives the same bytes.
 
     The mesh is stored in the object's own frame, z up, in metres and single precision; the
@@ -31,9 +35,27 @@ def save_object(model: ObjectModel, folder: str | Path) -> None:
     Args:
         model: the object.
         folder: made if it does not exist.
+        surface: whether to store mesh, texture and points of the surface. Without, keypoints,
+            symmetries, diameter and bounding box are all that is left.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    numbers: dict[str, object] = {"format": FORMAT_VERSION}
+    numbers |= {key: getattr(model, key) for key in _SCALARS}
+    libraries = ("numpy", "trimesh", "xatlas") if surface else ("numpy",)
+    numbers["made_with"] = {name: version(name) for name in libraries}
+    if surface:
+        _write(folder / MESH_FILE, _glb(model))
+    else:
+        numbers["box"] = [model.vertices.min(axis=0).tolist(), model.vertices.max(axis=0).tolist()]
+    arrays = _ARRAYS if surface else _WITHOUT_SURFACE
+    numbers |= {key: getattr(model, key).tolist() for key in arrays}
+    text = ",\n".join(f" {json.dumps(key)}: {json.dumps(value)}" for key, value in numbers.items())
+    _write(folder / NUMBERS_FILE, f"{{\n{text}\n}}\n".encode())
+
+
+def _glb(model: ObjectModel) -> bytes:
+    """The mesh with its texture as a GLB file."""
     material = trimesh.visual.material.PBRMaterial(
         baseColorTexture=Image.fromarray(model.texture),
         metallicFactor=0.0,
@@ -47,13 +69,7 @@ def save_object(model: ObjectModel, folder: str | Path) -> None:
     )
     scene = trimesh.Scene()
     scene.add_geometry(mesh, geom_name=model.name)
-    _write(folder / MESH_FILE, trimesh.exchange.gltf.export_glb(scene))
-    numbers: dict[str, object] = {"format": FORMAT_VERSION}
-    numbers |= {key: getattr(model, key) for key in _SCALARS}
-    numbers["made_with"] = {name: version(name) for name in ("numpy", "trimesh", "xatlas")}
-    numbers |= {key: getattr(model, key).tolist() for key in _ARRAYS}
-    text = ",\n".join(f" {json.dumps(key)}: {json.dumps(value)}" for key, value in numbers.items())
-    _write(folder / NUMBERS_FILE, f"{{\n{text}\n}}\n".encode())
+    return trimesh.exchange.gltf.export_glb(scene)
 
 
 def read_object(folder: str | Path) -> ObjectModel:
@@ -64,19 +80,38 @@ def read_object(folder: str | Path) -> ObjectModel:
         ValueError: if a file is damaged or of an unknown format.
     """
     folder = Path(folder)
-    for name in (MESH_FILE, NUMBERS_FILE):
-        if not (folder / name).is_file():
-            raise FileNotFoundError(f"{folder} is not a built object: {name} is missing")
+    if not (folder / NUMBERS_FILE).is_file():
+        raise FileNotFoundError(f"{folder} is not a built object: {NUMBERS_FILE} is missing")
     try:
         numbers = json.loads((folder / NUMBERS_FILE).read_text())
         if numbers["format"] != FORMAT_VERSION:
             raise ValueError(f"format is {numbers['format']}, this version reads {FORMAT_VERSION}")
-        vertices, faces, uv, texture = _read_glb(folder / MESH_FILE)
         known: dict[str, Any] = {key: numbers[key] for key in _SCALARS}
+        if "box" in numbers:
+            known |= {key: np.asarray(numbers[key], np.float64) for key in _WITHOUT_SURFACE}
+            return _without_surface(np.asarray(numbers["box"], np.float64), known)
+        if not (folder / MESH_FILE).is_file():
+            raise FileNotFoundError(f"{folder} is not a built object: {MESH_FILE} is missing")
+        vertices, faces, uv, texture = _read_glb(folder / MESH_FILE)
         known |= {key: np.asarray(numbers[key], dtype=np.float64) for key in _ARRAYS}
         return ObjectModel(vertices=vertices, faces=faces, uv=uv, texture=texture, **known)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"the object in {folder} cannot be read: {error}") from error
+
+
+def _without_surface(bounds: np.ndarray, known: dict[str, Any]) -> ObjectModel:
+    """An object whose bounding box, from ``bounds`` (2, 3), stands for the surface."""
+    box = trimesh.creation.box(bounds=bounds)
+    return ObjectModel(
+        vertices=np.asarray(box.vertices, dtype=np.float64),
+        faces=np.asarray(box.faces, dtype=np.int32),
+        uv=np.zeros((len(box.vertices), 2), dtype=np.float32),
+        texture=np.full((1, 1, 3), 128, dtype=np.uint8),
+        points=np.asarray(box.vertices, dtype=np.float64),
+        stable_poses=np.eye(4)[None],
+        has_surface=False,
+        **known,
+    )
 
 
 def _read_glb(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -18,6 +18,9 @@ from .crops import STORED_SIDE, CropPack
 BANK = 384
 """How many crops are kept decoded to be pasted; decoding one anew would cost more than pasting."""
 
+_COLLAGE_SIDE = 320
+"""Side of drawn backgrounds in pixels: the width of the detector's frames."""
+
 _WHOLE = 0.7
 """Visibility from which a target is whole enough to be cut out."""
 
@@ -72,7 +75,7 @@ class CropPaster:
         self.bank = np.sort(rng.choice(whole, min(BANK, len(whole)), replace=False))
         self._pieces: dict[int, np.ndarray] = {}
         drawn = BANK if config.collages > 0 else 0
-        self._collages = [draw_collage(rng, STORED_SIDE) for _ in range(drawn)]
+        self._collages = [draw_collage(rng, _COLLAGE_SIDE) for _ in range(drawn)]
         kinds, frames = pack.object_index[self.bank], pack.frame_index[self.bank]
         numbers = range(len(pack.object_names))
         self._occluders = [self.bank[kinds != number] for number in numbers]
@@ -135,8 +138,31 @@ class CropPaster:
                 depth = None if depth is None else np.where(over > 0, np.float32(0), depth)
         return crop, mask, depth
 
+    def paste_frame(self, picture: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
+        """Puts a drawn background behind all targets of a whole frame, or leaves it as it is.
+
+        Args:
+            picture: the frame at the detector's size, RGB uint8 (H, W, 3).
+            frame: its number in the pack.
+            rng: source of randomness.
+        """
+        if not self._collages or rng.random() >= self.config.background:
+            return picture
+        height, width = picture.shape[:2]
+        low, high = np.searchsorted(self.pack.frame_index, [frame, frame + 1])
+        shown = np.zeros((height, width), np.uint8)
+        for target in range(low, high):
+            back = np.linalg.inv(self.pack.to_stored[target] @ self.pack.frame_to_image[frame])
+            mask = cv2.warpAffine(
+                self.pack.mask(target), back[:2], (width, height), flags=cv2.INTER_AREA
+            )
+            shown = cv2.max(shown, mask)
+        collage = self._collages[rng.integers(len(self._collages))]
+        window = _window(collage, max(height, width), rng)[:height, :width]
+        return blend(np.ascontiguousarray(window), picture, shown)
+
     def _background(self, backgrounds: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """What is put behind a target (192, 192, 3): drawn, or one of ``backgrounds``."""
+        """What is put behind a target, square: drawn, or one of ``backgrounds``."""
         drawn = self.config.collages > 0 and rng.random() < self.config.collages
         if drawn or not len(backgrounds):
             return self._collages[rng.integers(len(self._collages))]

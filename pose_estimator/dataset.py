@@ -217,6 +217,8 @@ class TrainingSet:
         frame = int(rng.choice(self.frames))
         picture = pack.frame(frame)
         low, high = np.searchsorted(pack.frame_index, [frame, frame + 1])
+        if self._paster is not None:
+            picture = self._paster.paste_frame(picture, frame, rng)
         to_small = np.linalg.inv(pack.frame_to_image[frame])
         moved = np.eye(3)
         if self.augmentation is not None:

@@ -117,11 +117,7 @@ def detector_input(image: np.ndarray, config: DetectorConfig) -> tuple[np.ndarra
 
 
 def decode(
-    logits: np.ndarray,
-    regression: np.ndarray,
-    to_image: np.ndarray,
-    config: DetectorConfig,
-    prior: tuple[np.ndarray, float] | None = None,
+    logits: np.ndarray, regression: np.ndarray, to_image: np.ndarray, config: DetectorConfig
 ) -> Roi:
     """Reads the best detection of one object.
 
@@ -129,21 +125,54 @@ def decode(
         logits: (30, 40) heat map logits of the object.
         regression: (3, 30, 40), see :meth:`Detector.forward`.
         to_image: (3, 3), from the detector's input to the picture.
-        prior: where the object is expected, from another view: pixel (2,) of the picture and the
-            standard deviation in pixels.
+        config: the detector's.
 
     Returns:
         The region of interest in the picture. Its score is the heat map's value, in 0 to 1.
     """
-    score = logits.astype(np.float64)
-    height, width = score.shape
-    if prior is not None:
-        columns, rows = np.meshgrid(np.arange(width), np.arange(height))
-        cells = np.stack([columns, rows], -1) * config.stride + (config.stride - 1) / 2
-        pixels = cells * [to_image[0, 0], to_image[1, 1]] + to_image[:2, 2]
-        distance = np.linalg.norm(pixels - prior[0], axis=-1) / prior[1]
-        score = score - 0.5 * np.minimum(distance, 6.0) ** 2
-    row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+    row, column = (int(i) for i in np.unravel_index(int(np.argmax(logits)), logits.shape))
+    return _roi_at(row, column, logits, regression, to_image, config)
+
+
+def decode_peaks(
+    logits: np.ndarray,
+    regression: np.ndarray,
+    to_image: np.ndarray,
+    config: DetectorConfig,
+    most: int = 10,
+    least_score: float = 0.003,
+) -> list[Roi]:
+    """Reads several detections of one object, the best first.
+
+    Args:
+        logits: (30, 40) heat map logits of the object.
+        regression: (3, 30, 40), see :meth:`Detector.forward`.
+        to_image: (3, 3), from the detector's input to the picture.
+        config: the detector's.
+        most: how many at most.
+        least_score: heat from which on a peak counts; the best one always does.
+
+    Returns:
+        The regions at the heat map's peaks, falling in score; the first is that of :func:`decode`.
+    """
+    around = cv2.dilate(logits, np.ones((5, 5), np.uint8))
+    rows, columns = np.nonzero(logits >= around)
+    order = np.argsort(-logits[rows, columns], kind="stable")[:most]
+    found = [
+        _roi_at(int(rows[i]), int(columns[i]), logits, regression, to_image, config) for i in order
+    ]
+    return [found[0], *(roi for roi in found[1:] if roi.score >= least_score)]
+
+
+def _roi_at(
+    row: int,
+    column: int,
+    logits: np.ndarray,
+    regression: np.ndarray,
+    to_image: np.ndarray,
+    config: DetectorConfig,
+) -> Roi:
+    """The region that one cell of the heat map means."""
     dx, dy, log_side = regression[:, row, column]
     cell = np.array([column + dx, row + dy]) * config.stride + (config.stride - 1) / 2
     scale = to_image[0, 0]

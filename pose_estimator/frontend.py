@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from .crops import warp_crop
-from .detector import decode, detector_input
+from .detector import decode, decode_peaks, detector_input
 from .estimate import Roi
 from .features import Features2D
 from .geometry import View, crop_matrix, grid_matrix, turn_matrix
+from .joint_detection import choose_together
 from .networks import PoseNetworks, has_fast_bfloat16
 from .voting import vote_keypoints
 
@@ -65,6 +67,20 @@ class EncodedView:
         return A @ self.vote_covariance @ A.T
 
 
+class DetectorMaps(NamedTuple):
+    """The detector's answer for one frame.
+
+    Attributes:
+        logits: (N, 30, 40) of each object's heat map.
+        regression: (N, 3, 30, 40), see ``Detector.forward``.
+        to_image: (3, 3), from the detector's input to the picture.
+    """
+
+    logits: np.ndarray
+    regression: np.ndarray
+    to_image: np.ndarray
+
+
 @dataclass(eq=False)
 class Frontend:
     """Runs the 2D networks; remembers the last few views, so that a reference is encoded once.
@@ -75,48 +91,72 @@ class Frontend:
 
     networks: PoseNetworks
     _cache: list[tuple[View, int, EncodedView]] = field(default_factory=list)
+    _maps: list[tuple[View, DetectorMaps]] = field(default_factory=list)
     _bfloat16: bool = field(default_factory=has_fast_bfloat16)
 
-    def encode(
-        self,
-        view: View,
-        index: int,
-        prior: tuple[np.ndarray, float] | None = None,
-        roi: Roi | None = None,
-    ) -> EncodedView:
+    def encode(self, view: View, index: int, roi: Roi | None = None) -> EncodedView:
         """Finds an object in a view and votes for its keypoints.
 
         Args:
             view: picture and camera.
             index: which object, in the networks' order.
-            prior: where another view expects it: pixel (2,) and standard deviation in pixels.
             roi: a region of interest from elsewhere, instead of the detector's.
         """
-        if prior is None and roi is None:
+        if roi is None:
             for cached, cached_index, encoded in self._cache:
                 if cached is view and cached_index == index:
                     return encoded
-        region = roi or self.detect(view, index, prior)
+        region = roi or self.detect(view, index)
         [encoded] = self.encode_turned(view, index, region, (0.0,))
-        if prior is None and roi is None:
+        if roi is None:
             self._cache = [*self._cache[1 - _CACHED_VIEWS :], (view, index, encoded)]
         return encoded
 
-    @torch.inference_mode()
-    def detect(self, view: View, index: int, prior: tuple[np.ndarray, float] | None = None) -> Roi:
+    def detect(self, view: View, index: int) -> Roi:
         """The region of interest of an object in a full frame."""
+        maps = self.detector_maps(view)
+        config = self.networks.detector.config
+        return decode(maps.logits[index], maps.regression[index], maps.to_image, config)
+
+    def regions(self, views: Sequence[View], index: int) -> list[Roi | None]:
+        """Where an object is in several full frames, found together.
+
+        Args:
+            views: the reference first; their cameras are known.
+            index: which object, in the networks' order.
+
+        Returns:
+            A region for each view; None where it is the one that :meth:`detect` finds alone.
+        """
+        config = self.networks.detector.config
+        model = list(self.networks.objects.values())[index]
+        candidates = []
+        for view in views:
+            maps = self.detector_maps(view)
+            candidates.append(
+                decode_peaks(maps.logits[index], maps.regression[index], maps.to_image, config)
+            )
+        scale = self.networks.features.config.roi_scale
+        chosen = choose_together(candidates, views, model.diameter, scale)
+        return [
+            regions[number] if number > 0 else None
+            for regions, number in zip(candidates, chosen, strict=True)
+        ]
+
+    @torch.inference_mode()
+    def detector_maps(self, view: View) -> DetectorMaps:
+        """What the detector says of all objects in a full frame; the last few are remembered."""
+        for cached, maps in self._maps:
+            if cached is view:
+                return maps
         detector = self.networks.detector
         small, to_image = detector_input(view.image, detector.config)
         frames = torch.from_numpy(small).permute(2, 0, 1)[None].float()
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
             logits, regression = detector(frames.contiguous(memory_format=torch.channels_last))
-        return decode(
-            logits[0, index].float().numpy(),
-            regression[0, index].float().numpy(),
-            to_image,
-            detector.config,
-            prior,
-        )
+        found = DetectorMaps(logits[0].float().numpy(), regression[0].float().numpy(), to_image)
+        self._maps = [*self._maps[1 - _CACHED_VIEWS :], (view, found)]
+        return found
 
     @torch.inference_mode()
     def encode_turned(

@@ -72,8 +72,13 @@ def add_or_add_s(T_est: np.ndarray, T_true: np.ndarray, object_model: ObjectMode
         object_model: the object; its ``points`` are measured.
 
     Raises:
-        ValueError: if a pose is not rigid.
+        ValueError: if a pose is not rigid, or the object's surface is not known.
     """
+    if not object_model.has_surface:
+        raise ValueError(
+            f"the surface of {object_model.name} is not stored with the weights, and ADD is taken "
+            "on it: use the object of a mesh file, or a dataset that has models"
+        )
     if object_model.symmetric:
         return add_s(T_est, T_true, object_model.points, tree=_surface_tree(object_model))
     return add(T_est, T_true, object_model.points)

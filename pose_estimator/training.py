@@ -44,7 +44,8 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
     log = TrainingLog(config.out / "log.jsonl")
     done = [name for name in STAGES if train_stage(config, name, networks, train, held_out, log)]
     path = config.out / "weights.safetensors"
-    save_weights(networks, path, header(config, networks, done, log.held_out))
+    content = header(config, networks, done, log.held_out)
+    save_weights(networks, path, content, surfaces=config.store_meshes)
     if config.json is not None:
         log.write_results(config)
     print(f"weights: {path}")
@@ -245,6 +246,8 @@ def header(
         },
         "held_out": dict(held_out),
     }
+    if config.attribution:
+        content["attribution"] = config.attribution
     if "volume" in config.stages:
         degrees, millimetres = config.pose_noise
         content["training"] |= {

@@ -97,6 +97,11 @@ class TrainEstimatorConfig:
     """Weights to start from instead of ImageNet: the name of shipped ones, or a .safetensors file.
     What is not trained anew is kept. Of other objects' weights, or those of another preset, the
     parts are taken over that fit, and what these are is printed."""
+    store_meshes: bool = True
+    """Store the meshes of your own objects with the weights. --no-store-meshes is for meshes that
+    must not be passed on: the weights then hold keypoints, symmetries and sizes alone."""
+    attribution: str = ""
+    """Whose objects and data these are, for the header of the weights."""
     pretrained: bool = True
     """Start the encoders from ImageNet (needs the extra `train`)."""
     validation: float = 0.03

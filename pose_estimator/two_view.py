@@ -1,8 +1,7 @@
 """What all fusions of two (or more) views share: where to look, and to look twice.
 
-The reference view is encoded first, and its pose says where to look in the further ones. The views
-are fused; the fused pose crops every view anew; and the second votes are fused again. How the views
-are fused is the method's own.
+The object is found in all views together. The views are fused; the fused pose crops every view
+anew; and the second votes are fused again. How the views are fused is the method's own.
 """
 
 from __future__ import annotations
@@ -14,13 +13,10 @@ import numpy as np
 
 from .estimate import PoseEstimate, Roi, roi_of_pose
 from .frontend import EncodedView, merge_votes
-from .geometry import View, invert, project, transform
+from .geometry import View, invert
 from .single_view import SingleViewEstimator, check_rois, first_view
 from .solvers import solve_pose
 from .symmetry import keypoint_permutations
-
-_LEAST_PRIOR = 25.0
-_LARGEST_PRIOR = 150.0
 
 _TURNS = (0.0, -0.2, 0.2)
 """Turns in radians of the crops of the second look, all within what the network was trained on."""
@@ -88,7 +84,7 @@ class TwoViewEstimator(SingleViewEstimator):
     def encode_views(
         self, views: Sequence[View], object_name: str, rois: Sequence[Roi] | None = None
     ) -> tuple[list[EncodedView], PoseEstimate]:
-        """Encodes all views, the further ones where the reference's pose says the object is.
+        """Encodes all views, each where the object was found in all of them together.
 
         Args:
             views: the reference view first.
@@ -102,14 +98,17 @@ class TwoViewEstimator(SingleViewEstimator):
             ValueError: see :meth:`estimate`.
         """
         index = self.index(object_name)
-        reference = first_view(views)
-        given = [None] * len(views) if rois is None else check_rois(rois, views)
-        encoded = [self.frontend.encode(reference, index, roi=given[0])]
-        first = self.from_one_view(encoded[0], object_name)
-        for view, roi in zip(views[1:], given[1:], strict=True):
-            prior = expected_pixel(first, reference, view)
-            encoded.append(self.frontend.encode(view, index, prior, roi))
-        return encoded, first
+        first_view(views)
+        given: Sequence[Roi | None] = [None]
+        if rois is not None:
+            given = check_rois(rois, views)
+        elif len(views) > 1:
+            given = self.frontend.regions(views, index)
+        encoded = [
+            self.frontend.encode(view, index, roi=roi)
+            for view, roi in zip(views, given, strict=True)
+        ]
+        return encoded, self.from_one_view(encoded[0], object_name)
 
     def look_again(
         self, encoded: Sequence[EncodedView], object_name: str, fused: PoseEstimate
@@ -130,14 +129,3 @@ class TwoViewEstimator(SingleViewEstimator):
             upright, *turned = self.frontend.encode_turned(first.view, index, roi, _TURNS)
             views.append(merge_votes(upright, [*turned, first], permutations))
         return views
-
-
-def expected_pixel(first: PoseEstimate, reference: View, view: View) -> tuple[np.ndarray, float]:
-    """Where another view should see the object's centre: pixel (2,) and standard deviation."""
-    T_view_ref = view.T_cam_world @ invert(reference.T_cam_world)
-    centre = transform(T_view_ref, first.keypoints[-1])
-    depth = max(float(centre[2]), 0.1)
-    pixel = project(np.array([centre[0], centre[1], depth]), view.K)
-    spread = float(np.sqrt(np.linalg.eigvalsh(first.keypoint_covariance[-1])[-1]))
-    sigma = float(np.clip(view.K[0, 0] * spread / depth, _LEAST_PRIOR, _LARGEST_PRIOR))
-    return pixel, sigma

@@ -26,7 +26,9 @@ SHIPPED = Path(assets.__file__).parent / "weights"
 """Where the weights that come with the package lie."""
 
 
-def save_weights(networks: PoseNetworks, path: str | Path, header: dict[str, Any]) -> None:
+def save_weights(
+    networks: PoseNetworks, path: str | Path, header: dict[str, Any], *, surfaces: bool = True
+) -> None:
     """Writes weights in half precision, with their header beside them.
 
     Of ``OPTIONAL_PARTS`` only those are written that have been trained. Objects that are not among
@@ -37,6 +39,8 @@ def save_weights(networks: PoseNetworks, path: str | Path, header: dict[str, Any
         path: the ``.safetensors`` file; the header goes to ``.json`` beside it.
         header: what the weights are: training data, measured accuracy. The objects, shapes, the
             trained parts, versions and the commit are added.
+        surfaces: whether the meshes of objects that are not ours are stored; without, their
+            keypoints, symmetries and sizes are.
     """
     path = Path(path)
     tensors = {
@@ -48,10 +52,11 @@ def save_weights(networks: PoseNetworks, path: str | Path, header: dict[str, Any
     objects: dict[str, dict[str, Any]] = {}
     for name, model in networks.objects.items():
         objects[name] = {"obj_id": model.obj_id, "diameter": model.diameter}
-        if name not in assets.OBJECT_NAMES:
+        if name not in assets.OBJECT_NAMES or model is not assets.load_object(name):
             # Weights for a user's objects must not depend on where their meshes once lay.
             objects[name]["folder"] = f"{path.stem}_objects/{name}"
-            save_object(model, path.parent / objects[name]["folder"])
+            surface = surfaces and model.has_surface
+            save_object(model, path.parent / objects[name]["folder"], surface=surface)
     full = {
         "format": FORMAT,
         "objects": objects,

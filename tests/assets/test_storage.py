@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 from two_view_pose import assets
 from two_view_pose.assets.build import BuildCommand
 from two_view_pose.assets.storage import read_object, save_object
+from two_view_pose.pose_estimator.metrics import add_or_add_s
 
 
 def test_round_trip_keeps_every_bit(tmp_path: Path) -> None:
@@ -34,11 +35,15 @@ def test_any_viewer_reads_the_mesh(tmp_path: Path) -> None:
 
 
 def test_damaged_folders_are_named(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"model\.glb is missing"):
+    with pytest.raises(FileNotFoundError, match=r"object\.json is missing"):
         read_object(tmp_path)
     save_object(assets.load_object("ape"), tmp_path)
     numbers = tmp_path / "object.json"
     whole = numbers.read_text()
+    (tmp_path / "model.glb").rename(tmp_path / "aside.glb")
+    with pytest.raises(FileNotFoundError, match=r"model\.glb is missing"):
+        read_object(tmp_path)
+    (tmp_path / "aside.glb").rename(tmp_path / "model.glb")
     numbers.write_text(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match="cannot be read"):
         read_object(tmp_path)
@@ -72,3 +77,35 @@ def test_build_is_reproducible_and_is_what_ships(tmp_path: Path) -> None:
 def test_build_refuses_unknown_names(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"teapot.*ape"):
         BuildCommand(out=tmp_path, only=["teapot"]).run()
+
+
+def test_an_object_without_its_surface_keeps_all_that_an_estimator_needs(tmp_path: Path) -> None:
+    model = assets.load_object("eggbox")
+    save_object(model, tmp_path / "eggbox", surface=False)
+    assert [path.name for path in (tmp_path / "eggbox").iterdir()] == ["object.json"]
+    again = read_object(tmp_path / "eggbox")
+    assert not again.has_surface
+    for name in ("keypoints", "symmetries"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(model, name))
+    assert (again.name, again.obj_id, again.diameter) == ("eggbox", 10, model.diameter)
+    np.testing.assert_allclose(again.extents, model.extents, atol=1e-12)
+    assert len(again.vertices) == 8
+    stored = (tmp_path / "eggbox" / "object.json").read_text()
+    assert len(stored) < 3000
+    with pytest.raises(ValueError, match=r"surface of eggbox.*mesh file"):
+        add_or_add_s(np.eye(4), np.eye(4), again)
+
+
+def test_an_object_can_be_called_as_one_likes(tmp_path: Path) -> None:
+    mesh = tmp_path / "obj_000007.ply"
+    trimesh.creation.box((0.1, 0.2, 0.3)).export(mesh)
+    objects = assets.load_objects([f"bracket={mesh}", "duck"])
+    assert list(objects) == ["bracket", "duck"]
+    assert objects["bracket"].obj_id == 7
+    save_object(objects["bracket"], tmp_path / "built")
+    assert assets.load_object(f"arm={tmp_path / 'built'}").name == "arm"
+    with pytest.raises(FileNotFoundError, match=r"nothing\.ply"):
+        assets.load_object(f"bracket={tmp_path / 'nothing.ply'}")
+    strange = tmp_path / "a=b.ply"
+    trimesh.creation.box((0.1, 0.2, 0.3)).export(strange)
+    assert assets.load_object(str(strange)).name == "a=b"

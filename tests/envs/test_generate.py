@@ -14,6 +14,7 @@ from two_view_pose.envs.generate import GenerateConfig, generate
 from two_view_pose.envs.scene_writer import scaled_intrinsics, silhouette_window
 from two_view_pose.envs.view_spread import spread_views, viewing_angle
 from two_view_pose.pose_estimator import bop
+from two_view_pose.pose_estimator.bop_pairs import read_pairs
 from two_view_pose.pose_estimator.geometry import (
     LINEMOD_IMAGE_SIZE,
     LINEMOD_K,
@@ -151,6 +152,31 @@ def test_other_settings_in_the_same_folder_are_refused(config, images):
 def test_wrong_settings_are_named(tmp_path, change, message):
     with pytest.raises(ValueError, match=message):
         GenerateConfig(tmp_path, **change)
+
+
+def test_distractors_stand_around_and_are_never_the_target(config, tmp_path):
+    changed = replace(
+        config, out=tmp_path, objects=("ape",), distractors=("lamp", "iron"), scenes=3, views=2,
+        depth=False, scene="all", look="busy",
+    )  # fmt: skip
+    generate(changed)
+    manifest = json.loads((tmp_path / "manifest.json").read_text())["settings"]
+    assert manifest["objects"] == ["ape"] and manifest["distractors"] == ["lamp", "iron"]
+    assert manifest["look"] == "busy"
+    dataset = bop.read_dataset(tmp_path, changed.split)
+    shown = [{a.obj_id for a in image.annotations} for image in dataset]
+    numbers = {name: load_object(name).obj_id for name in ("ape", "lamp", "iron")}
+    assert all(numbers["ape"] in ids for ids in shown)
+    assert any(numbers["lamp"] in ids or numbers["iron"] in ids for ids in shown)
+    pairs = read_pairs(tmp_path)
+    assert pairs and {pair.target_obj_id for pair in pairs} == {numbers["ape"]}
+    generate(changed)  # the same command finds nothing to do
+    with pytest.raises(ValueError, match=r"distractors is \['lamp', 'iron'\] there, \[\] here"):
+        generate(replace(changed, distractors=()))
+    with pytest.raises(ValueError, match="look is 'busy' there, 'tidy' here"):
+        generate(replace(changed, look="tidy"))
+    with pytest.raises(ValueError, match="two objects are called 'ape'"):
+        generate(replace(changed, out=tmp_path / "other", distractors=("ape",)))
 
 
 def test_unknown_objects_are_named(tmp_path):

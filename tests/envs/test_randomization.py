@@ -10,7 +10,7 @@ from two_view_pose.assets.object_model import ObjectModel
 from two_view_pose.envs.randomization import Randomization, apply_randomization
 from two_view_pose.envs.scene import Scene
 from two_view_pose.envs.sensor import SensorConfig
-from two_view_pose.envs.textures import PATTERNS, procedural_texture
+from two_view_pose.envs.textures import PATTERNS, PRINTED, procedural_texture
 from two_view_pose.envs.world import LIGHTS, World, compile_world
 
 COLOURS = np.array([[0.1, 0.2, 0.3], [0.9, 0.8, 0.7]])
@@ -45,6 +45,30 @@ def test_textures_keep_to_their_colours_and_tile(pattern: str) -> None:
             steps = np.abs(np.diff(values, axis=axis)).max()
             seam = np.abs(values.take(0, axis) - values.take(-1, axis)).max()
             assert seam <= 1.5 * steps + 3
+
+
+@pytest.mark.parametrize("pattern", PRINTED)
+def test_printed_textures_have_their_own_colours(pattern: str) -> None:
+    grey = np.full((2, 3), 0.5)
+    image = procedural_texture(np.random.default_rng(0), 128, pattern, grey)
+    assert image.shape == (128, 128, 3) and image.std() > 20
+
+
+def test_a_busy_look_shows_what_a_tidy_one_never_does(world: World) -> None:
+    """Colours of the table beyond wood and grey, and light that whitens."""
+
+    def strongest(randomization: Randomization) -> list[float]:
+        colourful = []
+        for seed in range(12):
+            apply_randomization(world, randomization, np.random.default_rng(seed))
+            start = world.model.tex_adr[world.textures["table"]]
+            table = world.model.tex_data[start : start + 3 * 512 * 512].reshape(-1, 3).astype(int)
+            colourful.append(float(np.quantile(np.ptp(table, axis=1), 0.9)))
+        return colourful
+
+    assert max(strongest(Randomization.busy())) > 1.3 * max(strongest(Randomization()))
+    with pytest.raises(ValueError, match=r"room_patterns must be among .*collage.*'tartan'"):
+        Randomization(room_patterns=("tartan",))
 
 
 def test_an_unknown_pattern_is_refused() -> None:

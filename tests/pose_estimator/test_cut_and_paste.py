@@ -55,7 +55,7 @@ def discs(objects: list[int], frames: list[int]) -> CropPack:
 @pytest.fixture(scope="module")
 def three() -> CropPack:
     """Three objects; c is never in the frame of another, a and b share one."""
-    return discs([0, 1, 2, 1, 2], [0, 0, 1, 2, 3])
+    return three_like()
 
 
 def red_disc() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -157,6 +157,60 @@ def test_nothing_to_paste_is_told(three):
     assert like(seen, GROUND[0])[left == 0].any()  # what can be done is done
     with pytest.raises(ValueError, match=r"occlude must be 0 to 1, got 1\.5"):
         CutAndPasteConfig(occlude=1.5)
+
+
+def drawn(config: CutAndPasteConfig, pack: CropPack, targets: int) -> CropPaster:
+    return CropPaster(pack, np.arange(targets), config)
+
+
+def test_drawn_backgrounds_need_no_other_picture():
+    """Where every frame shows all objects, nothing can be cut out to stand behind one."""
+    full = discs([0, 1, 2], [0, 0, 0])
+    paster = drawn(CutAndPasteConfig(background=1.0, collages=0.5), full, 3)
+    crop, mask, depth = red_disc()
+    seen, left, known = paster.paste(crop, mask, depth, 0, np.random.default_rng(0))
+    assert np.array_equal(left, mask) and like(seen, COLOURS[0])[mask > 0].all()
+    assert not like(seen, GROUND[0])[mask == 0].mean() > 0.2
+    assert np.array_equal(known > 0, mask > 127)
+
+
+def test_a_share_of_the_backgrounds_is_drawn(three):
+    paster = drawn(CutAndPasteConfig(background=1.0, collages=0.5), three, 5)
+    crop, mask, _ = red_disc()
+    cut = 0
+    for seed in range(60):
+        seen, _, _ = paster.paste(crop, mask, None, 0, np.random.default_rng(seed))
+        cut += any(like(seen, GROUND[k])[mask == 0].mean() > 0.8 for k in (1, 2))
+    assert 15 <= cut <= 45
+
+
+def test_a_frame_keeps_its_targets_before_a_drawn_background():
+    """Two targets whose stored crops lie at known places of the frame."""
+    pack = discs([0, 1, 2], [0, 0, 1])
+    places = [(20.0, 30.0), (120.0, 24.0), (0.0, 0.0)]
+    frame = np.full((240, 320, 3), 60, np.uint8)
+    for target, (x, y) in enumerate(places):
+        pack.to_stored[target] = [[1, 0, -x], [0, 1, -y], [0, 0, 1]]
+    for target in (0, 1):
+        x, y = (int(v) for v in places[target])
+        window = frame[y : y + STORED_SIDE, x : x + STORED_SIDE]
+        inside = disc(STORED_SIDE)[: window.shape[0], : window.shape[1]] > 0
+        window[inside] = COLOURS[target]
+    before = frame.copy()
+    paster = drawn(CutAndPasteConfig(background=1.0, collages=1.0), pack, 3)
+    seen = paster.paste_frame(frame, 0, np.random.default_rng(3))
+    assert np.array_equal(frame, before) and seen.shape == frame.shape
+    ours = like(before, COLOURS[0]) | like(before, COLOURS[1])
+    assert np.array_equal(seen[ours], before[ours])
+    assert (seen[~ours] == 60).all(-1).mean() < 0.2
+    never = drawn(CutAndPasteConfig(background=0.0, collages=1.0), pack, 3)
+    assert never.paste_frame(frame, 0, np.random.default_rng(3)) is frame
+    none_drawn = drawn(CutAndPasteConfig(background=1.0), three_like(), 5)
+    assert none_drawn.paste_frame(frame, 0, np.random.default_rng(3)) is frame
+
+
+def three_like() -> CropPack:
+    return discs([0, 1, 2, 1, 2], [0, 0, 1, 2, 3])
 
 
 def test_blending_is_a_weighted_mean():

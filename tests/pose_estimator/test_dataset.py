@@ -175,6 +175,46 @@ def test_colours_are_drawn_from_the_generator_alone():
     assert np.array_equal(picture, before) and first.dtype == np.uint8
 
 
+def test_strong_changes_are_drawn_from_the_generator_alone():
+    picture = np.random.default_rng(0).integers(0, 256, (64, 48, 3), dtype=np.uint8)
+    before = picture.copy()
+    strong = AugmentationConfig.strong()
+    for seed in range(30):
+        first, again = (
+            augment_colours(picture, strong, np.random.default_rng(seed)) for _ in range(2)
+        )
+        assert np.array_equal(first, again) and first.shape == picture.shape
+        assert first.dtype == np.uint8
+    assert np.array_equal(picture, before)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"saturation": 1.0}, lambda p: np.ptp(p.astype(int), axis=-1).mean()),
+        ({"shade": 1.0}, lambda p: np.abs(p[:8].mean() - p[-8:].mean())),
+        ({"motion": 1.0}, lambda p: np.abs(np.diff(p[..., 0].astype(int), axis=1)).mean()),
+        ({"sharpen": 1.0}, lambda p: np.abs(np.diff(p[..., 0].astype(int), axis=1)).mean()),
+        ({"coarse": 1.0}, lambda p: np.abs(np.diff(p[..., 0].astype(int), axis=1)).mean()),
+    ],
+)
+def test_each_change_changes_what_it_is_called_for(change, said):
+    picture = cv2.GaussianBlur(
+        np.random.default_rng(0).integers(60, 196, (64, 64, 3), dtype=np.uint8), (0, 0), 1.0
+    )
+    plain = said(picture)
+    found = [
+        said(augment_colours(picture, replace(PLAIN, **change), np.random.default_rng(s)))
+        for s in range(12)
+    ]
+    if "saturation" in change:
+        assert min(found) < 0.8 * plain and max(found) > 1.2 * plain
+    elif "motion" in change or "coarse" in change:
+        assert max(found) < plain
+    else:
+        assert min(found) > plain or np.median(found) > 1.1 * plain
+
+
 def test_an_erased_box_is_taken_from_the_mask(pack, boxes):
     training = TrainingSet(pack, boxes, CONFIG, replace(PLAIN, erase=1))
     rng = np.random.default_rng(0)

@@ -6,6 +6,7 @@ import torch
 from two_view_pose.pose_estimator.detector import (
     DetectorConfig,
     decode,
+    decode_peaks,
     detection_targets,
     detector_input,
 )
@@ -91,29 +92,26 @@ def test_a_long_strip_is_still_a_picture():
     assert small.shape == (240, 320, 3) and np.isfinite(to_image).all()
 
 
-def test_the_other_view_decides_between_two_peaks():
+def test_all_peaks_are_read_the_best_first():
     left, right = (60.0, 120.0), (260.0, 120.0)
     heat, regression, _ = targets(left, right)
     use_left = heat[0] > heat[1]
-    logits = np.maximum(logits_of(0.9 * heat[0]), logits_of(0.6 * heat[1]))
+    logits = np.maximum(logits_of(0.6 * heat[0]), logits_of(0.9 * heat[1]))
     both = np.where(use_left, regression[0], regression[1])
     to_image = np.diag([2.0, 2.0, 1.0])
     to_image[:2, 2] = 0.5
+    found = decode_peaks(logits, both, to_image, CONFIG)
+    assert len(found) == 2
+    for roi, centre, score in zip(found, (right, left), (0.9, 0.6), strict=True):
+        assert np.allclose(roi.centre, np.array(centre) * 2 + 0.5, atol=1e-3)
+        assert roi.score == pytest.approx(score, abs=0.05)
     alone = decode(logits, both, to_image, CONFIG)
-    assert np.allclose(alone.centre, np.array(left) * 2 + 0.5, atol=1e-3)
-    prior = (np.array([505.0, 250.0]), 30.0)
-    told = decode(logits, both, to_image, CONFIG, prior)
-    assert np.allclose(told.centre, np.array(right) * 2 + 0.5, atol=1e-3)
-    assert told.score == pytest.approx(0.6, abs=0.05)
-
-
-def test_a_prior_out_of_the_picture_changes_nothing():
-    heat, regression, _ = targets((60.0, 120.0))
-    plain = decode(logits_of(heat[0]), regression[0], np.eye(3), CONFIG)
-    told = decode(
-        logits_of(heat[0]), regression[0], np.eye(3), CONFIG, (np.array([9e4, -9e4]), 25.0)
-    )
-    assert np.allclose(plain.centre, told.centre)
+    assert np.array_equal(alone.centre, found[0].centre) and alone.side == found[0].side
+    assert len(decode_peaks(logits, both, to_image, CONFIG, most=1)) == 1
+    assert len(decode_peaks(logits, both, to_image, CONFIG, least_score=0.8)) == 1
+    # Where nothing is hot the best of it is still an answer.
+    nothing = decode_peaks(np.full_like(logits, -9.0), both, to_image, CONFIG)
+    assert len(nothing) == 1
 
 
 def test_the_networks_maps_fit_the_targets(networks: PoseNetworks):

@@ -37,7 +37,7 @@ class Votes2D:
         self.networks = networks
         self.rois: list[Roi | None] = []
 
-    def encode(self, view, index, prior=None, roi=None) -> EncodedView:
+    def encode(self, view, index, roi=None) -> EncodedView:
         self.rois.append(roi)
         model = list(self.networks.objects.values())[index]
         config = self.networks.features.config

@@ -46,14 +46,17 @@ class PerfectVotes:
         self.rng = np.random.default_rng(0)
         self.noise = noise
         self.calls = 0
-        self.told: list[tuple[tuple | None, Roi | None]] = []
+        self.told: list[Roi | None] = []
         self._bfloat16 = False
 
-    def encode(self, view, index, prior=None, roi=None) -> EncodedView:
+    def regions(self, views, index) -> list[Roi | None]:
+        return [None] * len(views)
+
+    def encode(self, view, index, roi=None) -> EncodedView:
         model = list(self.networks.objects.values())[index]
         symmetry = self.twist[self.calls % len(self.twist)] if self.twist else 0
         self.calls += 1
-        self.told.append((prior, roi))
+        self.told.append(roi)
         T = view.T_cam_world @ T_WORLD_OBJ @ model.symmetries[symmetry]
         config = self.networks.features.config
         side = 1.4 * model.diameter * view.K[0, 0] / T[2, 3]
@@ -80,7 +83,7 @@ class PerfectVotes:
 class Garbage(PerfectVotes):
     """Votes anywhere, with any confidence."""
 
-    def encode(self, view, index, prior=None, roi=None) -> EncodedView:
+    def encode(self, view, index, roi=None) -> EncodedView:
         good = super().encode(view, index)
         scale = 10.0 ** self.rng.uniform(-2, 5)
         object.__setattr__(good, "vote_mean", self.rng.normal(16, scale, (9, 2)))

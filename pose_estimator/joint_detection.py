@@ -1,0 +1,93 @@
+"""Where an object is in several views at once: one place in space, not the best of each picture.
+
+Each view's heat map has several peaks. In one picture alone a neighbour may look more like the
+object than the object, half hidden, does; but it does not stand where the other picture has its own
+neighbour. Peaks of two views belong together if one point in space explains both: their rays meet,
+at a depth that fits the sizes of both regions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .estimate import Roi, depth_of_roi
+from .geometry import View, invert, project, transform
+
+_SIZE_DEVIATION = 0.3
+"""Standard deviation of the logarithm of a region's side."""
+
+_CENTRE_DEVIATION = 0.12
+"""Standard deviation of a region's centre in sides of the region."""
+
+_LARGEST_MISFIT = 16.0
+"""Squared deviations from which two regions have nothing to do with each other."""
+
+_DEPTHS = np.exp(np.linspace(-0.8, 0.8, 65))
+"""Depths that are tried along a ray, as factors of the one that the region's size means."""
+
+
+def choose_together(
+    candidates: Sequence[Sequence[Roi]], views: Sequence[View], diameter: float, scale: float
+) -> list[int]:
+    """Picks one candidate of each view so that all are sure and of one mind.
+
+    Args:
+        candidates: regions of each view, at least one.
+        views: the reference first; their cameras are known.
+        diameter: of the object, metres.
+        scale: side of a region in diameters.
+
+    Returns:
+        The number of the candidate in each view.
+    """
+    first, *others = candidates
+    best_sum, best = -np.inf, [0] * len(candidates)
+    for number, roi in enumerate(first):
+        total, chosen = float(np.log(max(roi.score, 1e-6))), [number]
+        for regions, view in zip(others, views[1:], strict=True):
+            agreement = [
+                np.log(max(other.score, 1e-6))
+                - 0.5 * misfit(roi, other, views[0], view, diameter, scale)
+                for other in regions
+            ]
+            chosen.append(int(np.argmax(agreement)))
+            total += float(max(agreement))
+        if total > best_sum:
+            best_sum, best = total, chosen
+    return best
+
+
+def misfit(
+    first: Roi, second: Roi, view: View, other: View, diameter: float, scale: float
+) -> float:
+    """How badly one point in space explains two regions: the least sum of squared deviations.
+
+    Args:
+        first: a region of ``view``.
+        second: a region of ``other``.
+        view: picture and camera.
+        other: picture and camera.
+        diameter: of the object, metres.
+        scale: side of a region in diameters.
+
+    Returns:
+        0 for regions of one object; 16 at most.
+    """
+    depths = depth_of_roi(first, view.K, diameter, scale) * _DEPTHS
+    points = depths[:, None] * (np.linalg.inv(view.K) @ (*first.centre, 1.0))
+    seen = transform(other.T_cam_world @ invert(view.T_cam_world), points)
+    before = seen[:, 2] > 0.05
+    if not before.any():
+        return _LARGEST_MISFIT
+    pixels = project(seen[before], other.K)
+    expected = depth_of_roi(second, other.K, diameter, scale)
+    # Both centres are uncertain; the first's is carried over at the second's size.
+    off = (pixels - second.centre) / (np.sqrt(2) * _CENTRE_DEVIATION * second.side)
+    deviations = (
+        (off**2).sum(1)
+        + (np.log(_DEPTHS[before]) / _SIZE_DEVIATION) ** 2
+        + (np.log(seen[before, 2] / expected) / _SIZE_DEVIATION) ** 2
+    )
+    return float(min(deviations.min(), _LARGEST_MISFIT))

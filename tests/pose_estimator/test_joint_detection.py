@@ -1,0 +1,75 @@
+"""One place in space for the peaks of several views."""
+
+import numpy as np
+import pytest
+from two_view_pose.pose_estimator.estimate import Roi, roi_of_pose
+from two_view_pose.pose_estimator.geometry import LINEMOD_K, make_transform
+from two_view_pose.pose_estimator.joint_detection import choose_together, misfit
+from votes import camera, view
+
+DIAMETER, SCALE = 0.1, 1.4
+
+
+def seen(place, degrees: float, score: float) -> Roi:
+    """The region of an object at a place in the world, from a camera on the circle."""
+    T = camera(degrees) @ make_transform(np.eye(3), np.asarray(place, float))
+    return roi_of_pose(T, LINEMOD_K, DIAMETER, SCALE, score)
+
+
+def test_the_other_view_decides_between_two_peaks():
+    """A neighbour is surer than the object in one view, and not seen in the other."""
+    views = [view(20), view(60)]
+    here, neighbour = (0.02, 0.03, 0.0), (-0.15, 0.1, 0.0)
+    first = [seen(neighbour, 20, 0.8), seen(here, 20, 0.4)]
+    second = [seen(here, 60, 0.9)]
+    assert choose_together([first, second], views, DIAMETER, SCALE) == [1, 0]
+    assert choose_together([second, first], views[::-1], DIAMETER, SCALE) == [0, 1]
+
+
+def test_sure_peaks_are_taken_where_nothing_agrees():
+    views = [view(20), view(60)]
+    first = [seen((0.2, 0.0, 0.0), 20, 0.9), seen((0.25, -0.1, 0.0), 20, 0.1)]
+    second = [seen((0.0, 0.25, 0.0), 60, 0.8), seen((-0.1, 0.3, 0.0), 60, 0.2)]
+    assert choose_together([first, second], views, DIAMETER, SCALE) == [0, 0]
+
+
+def test_one_view_alone_keeps_its_best_peak():
+    regions = [seen((0, 0, 0), 20, 0.5), seen((0.1, 0, 0), 20, 0.4)]
+    assert choose_together([regions], [view(20)], DIAMETER, SCALE) == [0]
+
+
+def test_three_views_agree():
+    views = [view(d) for d in (20, 60, 100)]
+    here, neighbour = (0.02, 0.03, 0.0), (-0.15, 0.1, 0.0)
+    candidates = [
+        [seen(neighbour, 20, 0.9), seen(here, 20, 0.3)],
+        [seen(here, 60, 0.6), seen(neighbour, 60, 0.1)],
+        [seen((0.2, -0.1, 0), 100, 0.5), seen(here, 100, 0.4)],
+    ]
+    assert choose_together(candidates, views, DIAMETER, SCALE) == [1, 0, 1]
+
+
+@pytest.mark.parametrize("degrees", [22, 60, 150])
+def test_misfit_of_one_object_is_small_and_of_two_is_large(degrees):
+    views = view(20), view(degrees)
+    same = misfit(
+        seen((0.05, 0, 0), 20, 1), seen((0.05, 0, 0), degrees, 1), *views, DIAMETER, SCALE
+    )
+    assert same < 0.1
+    other = misfit(
+        seen((0.05, 0, 0), 20, 1), seen((-0.1, 0.12, 0), degrees, 1), *views, DIAMETER, SCALE
+    )
+    assert other > 8
+    # A region of twice the size means an object at half the distance.
+    near = seen((0.05, 0, 0), degrees, 1)
+    twice = Roi(near.centre, 2 * near.side, 1.0)
+    assert misfit(seen((0.05, 0, 0), 20, 1), twice, *views, DIAMETER, SCALE) > 2
+
+
+def test_a_camera_that_looks_away_fits_nothing():
+    behind = view(20)
+    flipped = type(behind)(
+        behind.image, behind.K, make_transform(np.diag([-1.0, 1, -1]), np.zeros(3)) @ camera(20)
+    )
+    region = seen((0.0, 0, 0), 20, 1)
+    assert misfit(region, region, behind, flipped, DIAMETER, SCALE) == 16
