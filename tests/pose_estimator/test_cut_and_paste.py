@@ -146,6 +146,12 @@ def test_nothing_to_paste_is_told(three):
     alone = discs([0, 0], [0, 1])
     with pytest.raises(ValueError, match="needs a second object"):
         CropPaster(alone, np.arange(2), CutAndPasteConfig(occlude=0.5))
+    # Drawn collages can be put behind it all the same.
+    drawn = CutAndPasteConfig(occlude=0.5, background=1.0, collages=0.5)
+    crop, mask = alone.crop(0), alone.mask(0)
+    paster = CropPaster(alone, np.arange(2), drawn)
+    behind, kept, _ = paster.paste(crop, mask, None, 0, np.random.default_rng(0))
+    assert not np.array_equal(behind, crop) and np.array_equal(kept, mask)
     full = discs([0, 1, 2], [0, 0, 0])
     with pytest.raises(ValueError, match="needs a frame that lacks an object"):
         CropPaster(full, np.arange(3), CutAndPasteConfig(background=0.5))
