@@ -62,10 +62,9 @@ def resolve_estimator(estimator: str | Path | PoseEstimator | None) -> PoseEstim
     """
     if estimator is None:
         return None
-    if isinstance(estimator, str | Path) and Path(estimator).suffix == ".safetensors":
-        return _load_file(estimator)
-    if isinstance(estimator, str):
-        return _load(estimator)
+    if isinstance(estimator, str | Path):
+        own = Path(estimator).suffix == ".safetensors"
+        return _load_file(estimator) if own else _load(str(estimator))
     if not callable(getattr(estimator, "estimate", None)):
         raise ValueError(
             "estimator must be the name of a method, a .safetensors file, an object with "
