@@ -31,8 +31,9 @@ class TrainAgentConfig:
     """Light clutter, or clutter that hides much of the target."""
     objects: tuple[str, ...] = ()
     """Names of objects or mesh files; by default the 13 of LineMOD."""
-    estimator: Literal["mid", "single"] | None = "mid"
-    """What estimates the pose; None renders only, and every pose is zero."""
+    estimator: str | None = "mid"
+    """What estimates the pose: `mid`, `single`, or a .safetensors file of your own for `mid`; None
+    renders only, and every pose is zero."""
     n_envs: int | None = None
     """Environments side by side, a process each; by default n_envs of the hyper-parameters."""
     seed: int = 0
@@ -89,8 +90,8 @@ class EvaluateAgentConfig:
     TwoViewPose-v0."""
     objects: tuple[str, ...] = ()
     """Names of objects or mesh files; by default the 13 of LineMOD."""
-    estimator: Literal["mid", "single"] = "mid"
-    """What estimates the pose."""
+    estimator: str = "mid"
+    """What estimates the pose: `mid`, `single`, or a .safetensors file of your own for `mid`."""
     progress: bool = True
     """Show a progress bar."""
     json: Path | None = None

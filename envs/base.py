@@ -65,7 +65,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         *,
         objects: Sequence[str | Path] | Mapping[str, ObjectModel] | str | Path | None = None,
         scene: str | SceneConfig = "linemod",
-        estimator: str | PoseEstimator | None = "mid",
+        estimator: str | Path | PoseEstimator | None = "mid",
         travel_weight: float = 0.05,
         pose_noise: PoseNoise | tuple[float, float] | None = None,
         randomization: Randomization | None = None,

@@ -72,6 +72,7 @@ def claim_folder(config: GenerateConfig, object_names: tuple[str, ...]) -> Gener
                 + ", ".join(
                     f"{k} is {before.get(k)!r} there, {everything[k]!r} here" for k in changed
                 )
+                + "; give another --out"
             )
     config.out.mkdir(parents=True, exist_ok=True)
     content = {"settings": settings, "scenes": config.scenes, "versions": versions()}

@@ -27,6 +27,7 @@ def evaluate(config: EvaluateConfig) -> None:
             GenerateConfig(
                 out=root,
                 scenes=config.scenes,
+                objects=config.objects or known_objects(config.weights),
                 views=2,
                 scene=config.scene,
                 split=config.split,
@@ -40,3 +41,18 @@ def evaluate(config: EvaluateConfig) -> None:
             )
         )
         evaluate_dataset(config, root, {"scene": config.scene})
+
+
+def known_objects(weights: str) -> tuple[str, ...]:
+    """What ``generate --objects`` is told to render the objects that weights know.
+
+    Raises:
+        FileNotFoundError, ValueError: see ``find_weights`` and ``read_header``.
+    """
+    from ..pose_estimator.weights import find_weights, read_header  # imports torch: only now
+
+    path = find_weights(weights)
+    return tuple(
+        str(path.parent / entry["folder"]) if "folder" in entry else name
+        for name, entry in read_header(path)["objects"].items()
+    )

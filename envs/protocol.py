@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from ..pose_estimator.estimate import PoseEstimate
@@ -40,23 +41,33 @@ def _load(method: str) -> PoseEstimator:
     return pose_estimator.load(method)
 
 
-def resolve_estimator(estimator: str | PoseEstimator | None) -> PoseEstimator | None:
+def _load_file(weights: str | Path) -> PoseEstimator:
+    """Mid-Fusion with a user's own weights, which are read once a process."""
+    from .. import pose_estimator
+
+    return pose_estimator.load("mid", weights)
+
+
+def resolve_estimator(estimator: str | Path | PoseEstimator | None) -> PoseEstimator | None:
     """Turns the environment's ``estimator`` argument into an estimator.
 
     Args:
         estimator: the name of a method whose shipped weights are loaded (``"mid"``,
-            ``"single"``), an object with an ``estimate`` method, or None for rendering only.
+            ``"single"``), a ``.safetensors`` file of your own for ``"mid"``, an object with an
+            ``estimate`` method, or None for rendering only.
 
     Raises:
         ValueError: if it is none of these.
+        FileNotFoundError: if there is no such file.
     """
     if estimator is None:
         return None
-    if isinstance(estimator, str):
-        return _load(estimator)
+    if isinstance(estimator, str | Path):
+        own = Path(estimator).suffix == ".safetensors"
+        return _load_file(estimator) if own else _load(str(estimator))
     if not callable(getattr(estimator, "estimate", None)):
         raise ValueError(
-            "estimator must be the name of a method, an object with "
+            "estimator must be the name of a method, a .safetensors file, an object with "
             f"estimate(views, object_name), or None; got {estimator!r}"
         )
     return estimator
@@ -76,6 +87,7 @@ def check_known_objects(estimator: PoseEstimator | None, object_names: Sequence[
         raise ValueError(
             f"the estimator does not know the object(s) {', '.join(unknown)}; it was trained on "
             f"{', '.join(known)}. Train one that does with `python -m two_view_pose "
-            f"train-estimator --objects {' '.join(object_names)}`, or pass estimator=None to "
-            "render without estimating, or pass your own estimator"
+            f"train-estimator --objects {' '.join(object_names)} --data DIR --init linemod --out "
+            'DIR` and pass its weights as estimator="DIR/weights.safetensors", or pass '
+            "estimator=None to render without estimating, or pass your own estimator"
         )

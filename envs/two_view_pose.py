@@ -132,7 +132,8 @@ class TwoViewPoseEnv(ViewSelectionEnv):
     | `scene`         | `"linemod"`  | `"linemod"` (light clutter), `"occlusion"` (heavy),    |
     |                 |              | `"heap"` (eight close together), or a `SceneConfig`    |
     | `estimator`     | `"mid"`      | whose shipped weights are loaded (`"mid"`,             |
-    |                 |              | `"single"`); or your own object with                   |
+    |                 |              | `"single"`); or a `.safetensors` file of your own for  |
+    |                 |              | `"mid"`; or your own object with                       |
     |                 |              | `estimate(views, object_name)`; or None: rendering     |
     |                 |              | only, pose fields zero, reward for travel alone        |
     | `travel_weight` | 0.05         | price of a metre of camera travel                      |

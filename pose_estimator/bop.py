@@ -121,7 +121,11 @@ def read_dataset(root: str | Path, split: str = "test") -> BopDataset:
     """
     folder = Path(root) / split
     if not folder.is_dir():
-        raise ValueError(f"dataset has no split {split!r}: {folder} is not a folder")
+        others = sorted(p.parent.parent.name for p in Path(root).glob("*/[0-9]*/scene_camera.json"))
+        there = f"; there is {', '.join(dict.fromkeys(others))}: say so with --split"
+        raise ValueError(
+            f"dataset has no split {split!r}: {folder} is not a folder{there if others else ''}"
+        )
     scene_ids = sorted(int(p.name) for p in folder.iterdir() if p.name.isdigit() and p.is_dir())
     if not scene_ids:
         raise ValueError(f"{folder} holds no scenes (folders such as 000000)")

@@ -88,7 +88,10 @@ def _infos(objects: Iterable[ObjectModel]) -> dict[str, dict[str, Any]]:
     for model in objects:
         if str(model.obj_id) in infos:
             other = infos[str(model.obj_id)]["name"]
-            raise ValueError(f"objects {other!r} and {model.name!r} share the id {model.obj_id}")
+            raise ValueError(
+                f"objects {other!r} and {model.name!r} share the id {model.obj_id}, which "
+                "comes from their files' names: rename one of these"
+            )
         infos[str(model.obj_id)] = _info(model)
     return infos
 

@@ -93,7 +93,8 @@ class CropPaster:
             )
             if probability > 0
         ]  # fmt: skip
-        if wanted and not any(possible for _, possible in wanted):
+        drawn_behind = bool(self._collages) and config.background > 0
+        if wanted and not drawn_behind and not any(possible for _, possible in wanted):
             raise ValueError(
                 f"cut-and-paste needs {' or '.join(what for what, _ in wanted)}, "
                 "and the dataset has none"

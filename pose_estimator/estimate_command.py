@@ -142,7 +142,6 @@ def estimate_files(config: EstimateConfig) -> None:
     """
     views = read_views(config)
     # After the inputs are known to be good: this imports torch.
-    from ..assets import load_object
     from . import load
     from .overlay import ESTIMATE_COLOUR, draw_poses
 
@@ -161,7 +160,7 @@ def estimate_files(config: EstimateConfig) -> None:
     )
     print(f"pose: {config.out}")
     if config.overlay is not None:
-        model = load_object(config.object)
+        model = estimator.networks.objects[config.object]
         pictures = [
             draw_poses(
                 view.image, model, {ESTIMATE_COLOUR: view.T_cam_world @ answer.T_cam_obj}, view.K

@@ -53,7 +53,9 @@ class EvaluateConfig:
     scene: Literal["linemod", "occlusion"] = "linemod"
     """Kind of our scenes."""
     scenes: int = 520
-    """How many scenes; each of the 13 objects is the target equally often."""
+    """How many scenes; each of the objects is the target equally often."""
+    objects: tuple[str, ...] = ()
+    """Objects of our scenes, by name or path of a mesh; none = all that the weights know."""
     seed: int = 1000
     """Of the scenes. Training data has other seeds."""
     data: Path | None = None
@@ -197,6 +199,11 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
         depth=config.method == "rgbd",
         truth_roi_scale=networks.features.config.roi_scale if config.roi == "truth" else None,
     )
+    if not outcomes:
+        raise ValueError(
+            f"no pair of views of {root / config.split} shows what the weights {config.weights} "
+            f"know: {', '.join(f'{n} ({m.obj_id})' for n, m in networks.objects.items())}"
+        )
     tags = {"method": config.method, **tags}
     if config.solver != "soft":
         tags["solver"] = config.solver

@@ -76,7 +76,8 @@ class SingleViewEstimator:
             raise ValueError(
                 f"these weights do not know the object {object_name!r}; they know "
                 f"{', '.join(self.object_names)}. Train some that do: "
-                f"python -m two_view_pose train-estimator --objects {object_name} --out DIR"
+                f"python -m two_view_pose train-estimator --objects {object_name} --data DIR "
+                "--init linemod --out DIR"
             ) from None
 
     def from_one_view(self, encoded: EncodedView, object_name: str) -> PoseEstimate:

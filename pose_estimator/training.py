@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from .find_dataset import find_dataset
 from .parts import PARTS, STAGES
 from .training_config import TrainEstimatorConfig
+from .training_objects import training_objects
 
 if TYPE_CHECKING:
     from .dataset import TrainingSet
@@ -33,15 +34,18 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
     from .trainer import keep_freed_memory
     from .weights import save_weights
 
-    config = replace(config, data=find_dataset(config.data))
+    config = replace(config, data=find_dataset(config.data), stages=config.chosen_stages)
     if config.threads:
         torch.set_num_threads(config.threads)
     keep_freed_memory()
     torch.manual_seed(config.seed)
     networks = start_networks(config)
+    count = len(networks.objects)
+    plan = [f"{n} ({config.stage(n, count).steps} steps)" for n in STAGES if n in config.stages]
+    print(f"training {', '.join(networks.objects)}: {', '.join(plan)}")
     train, held_out = open_data(config, networks)
     config.out.mkdir(parents=True, exist_ok=True)
-    log = TrainingLog(config.out / "log.jsonl")
+    log = TrainingLog(config.out / "log.jsonl", resume=config.resume)
     done = [name for name in STAGES if train_stage(config, name, networks, train, held_out, log)]
     path = config.out / "weights.safetensors"
     content = header(config, networks, done, log.held_out)
@@ -49,17 +53,35 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
     if config.json is not None:
         log.write_results(config)
     print(f"weights: {path}")
-    method = {"cascade": "early", "points": "rgbd"}.get(done[-1] if done else "", "mid")
-    print(f"evaluate them: python -m two_view_pose evaluate --method {method} --weights {path}")
+    print(next_command(networks, done, path))
     return path
+
+
+def next_command(networks: PoseNetworks, done: list[str], path: Path) -> str:
+    """How to measure what was trained, or what to train before there is something to measure.
+
+    Args:
+        networks: that were trained.
+        done: the stages of the training.
+        path: the weights.
+    """
+    missing = [part for part in ("detector", "features") if part not in networks.trained]
+    if missing:
+        return (
+            f"before they are of use they need {' and '.join(missing)}: the same command with "
+            f"--stages {' '.join(missing)}"
+        )
+    method = {"cascade": "early", "points": "rgbd"}.get(done[-1] if done else "", "mid")
+    if method == "mid" and "volume" not in networks.trained:
+        method = "late"  # the best of two views that needs no more than 2D features
+    return f"evaluate them: python -m two_view_pose evaluate --method {method} --weights {path}"
 
 
 def start_networks(config: TrainEstimatorConfig) -> PoseNetworks:
     """Networks as the training begins with them; see :func:`start_from` for what it raises."""
-    from .. import assets
     from .networks import NetworkConfig, PoseNetworks
 
-    objects = assets.load_objects(list(config.objects) or None)
+    objects = training_objects(config.data, config.objects)
     networks = PoseNetworks(objects, NetworkConfig(preset=config.preset))
     encoders = networks.detector.encoder, networks.features.encoder
     if config.init is not None:
@@ -78,8 +100,8 @@ def start_from(config: TrainEstimatorConfig, networks: PoseNetworks) -> None:
 
     Raises:
         FileNotFoundError: if there are no such weights.
-        ValueError: if they are damaged, or know other objects and the stages that would learn the
-            new ones are not asked for.
+        ValueError: if they are damaged, or lack 2D features, or know other objects, and the stages
+            that would learn these are not asked for.
     """
     from .transfer import take_over
     from .weights import find_weights, read_networks
@@ -93,7 +115,7 @@ def start_from(config: TrainEstimatorConfig, networks: PoseNetworks) -> None:
         for part in ("detector", "features")
         if part in transfer.incomplete
         and not any(
-            stage in config.stages or (config.out / f"{stage}.safetensors").is_file()
+            stage in config.chosen_stages or (config.out / f"{stage}.safetensors").is_file()
             for stage in ((part, "decoders") if part == "features" else (part,))
         )
     ]
@@ -102,6 +124,12 @@ def start_from(config: TrainEstimatorConfig, networks: PoseNetworks) -> None:
             f"the weights {config.init} know {', '.join(other.objects)}, and the training asks for "
             f"{', '.join(networks.objects)}: add {' and '.join(missing)} to --stages, which must "
             f"learn {', '.join(transfer.new)}"
+        )
+    learnt = "features" in config.chosen_stages or (config.out / "features.safetensors").is_file()
+    if "features" not in transfer.parts and "decoders" in config.chosen_stages and not learnt:
+        raise ValueError(
+            f"the weights {config.init} hold no trained 2D features for the decoders to build on: "
+            "add features to --stages"
         )
 
 
@@ -131,22 +159,33 @@ class TrainingLog:
 
     Args:
         path: the file; it is added to.
+        resume: whether the figures that it holds are those of this training.
 
     Attributes:
         held_out: the last figures on held-out data, by stage and name.
     """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, *, resume: bool = False):
         self._path = path
         self.held_out: dict[str, float] = {}
+        for line in path.read_text().splitlines() if resume and path.is_file() else ():
+            try:
+                entry = json.loads(line)
+            except json.JSONDecodeError:
+                continue  # a run was killed in the middle of it
+            self._remember(entry.pop("stage"), entry)
 
     def __call__(self, stage: str, step: int, numbers: Mapping[str, float]) -> None:
         """Adds a line; numbers are named ``train/...`` or ``held_out/...``."""
         entry = {"stage": stage, "step": step, "time": round(time.time(), 1), **numbers}
         with open(self._path, "a") as file:
             file.write(json.dumps(entry) + "\n")
+        self._remember(stage, numbers)
+
+    def _remember(self, stage: str, numbers: Mapping[str, float]) -> None:
+        """Keeps what is held-out data's."""
         for name, value in numbers.items():
-            kind, figure = name.split("/")
+            kind, _, figure = name.partition("/")
             if kind == "held_out":
                 self.held_out[f"{stage}/{figure}"] = value
 
@@ -181,7 +220,7 @@ def train_stage(
     asked = name in config.stages
     if not asked and not checkpoint.is_file():
         return False
-    settings = config.stage(name)
+    settings = config.stage(name, len(networks.objects))
     extra: dict[str, Any] = {}
     if name == "volume":
         degrees, millimetres = config.pose_noise
@@ -233,12 +272,13 @@ def header(
     """
     from .weights import find_weights, read_header
 
+    stages = {name: config.stage(name, len(networks.objects)) for name in done}
     content: dict[str, Any] = {
         "what": ", ".join(part for part in PARTS if part in networks.trained),
         "trained_on": _describe_data(config.data),
         "training": {
-            "steps": {name: config.stage(name).steps for name in done},
-            "batch": {name: config.stage(name).batch for name in done},
+            "steps": {name: settings.steps for name, settings in stages.items()},
+            "batch": {name: settings.batch for name, settings in stages.items()},
             "seed": config.seed,
             "cut_and_paste": config.cut_and_paste,
             "augmentation": config.augmentation,

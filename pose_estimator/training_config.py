@@ -19,6 +19,18 @@ _STAGES = {
 }
 """Samples in a batch and the largest learning rate of each stage."""
 
+_STEPS = {
+    "detector": (1200, 500),
+    "features": (10000, 10000),
+    "volume": (3000, 1000),
+    "cascade": (4000, 4000),
+    "points": (4000, 4000),
+}
+"""Batches of each stage: from ImageNet, and with ``init``, whose networks know most of it."""
+
+_DECODER_STEPS = (1000, 2000)
+"""Batches of the decoders: for each object, and at least in all."""
+
 _PAPER_VOLUME = (2, 1e-3)
 """The same of the stage volume with the preset ``paper``, which has a hundred times the voxels."""
 
@@ -46,32 +58,35 @@ class TrainEstimatorConfig:
     decoder for each object, volume (of `mid`). Two more build on the 2D features and need a dataset
     that was generated with --depth: cascade (of `early`) and points (of `rgbd`); with --init they
     are added to finished weights. Each stage writes checkpoints into --out; the same command
-    continues where a killed run stopped. On two cores the default takes about three hours.
+    continues where a killed run stopped. On two cores the default takes about three hours; with
+    --init linemod, which keeps the 2D features, half an hour for one object.
     """
 
     data: Path
-    """BOP dataset, as `generate` writes it: a folder, or a name below $BOP_PATH."""
+    """BOP dataset, of `generate` or of others: a folder, or a name below $BOP_PATH."""
     out: Path
     """Folder for checkpoints, log and the finished weights (OUT/weights.safetensors)."""
     objects: tuple[str, ...] = ()
-    """Objects to train, by name or path of a mesh; none = the 13 of LineMOD."""
+    """Objects to train, by name or path of a mesh (NAME=FILE calls one so); none = the models that
+    the dataset was made of, or our 13 where it was made of some of these, or has no models."""
     split: str = "train_pbr"
-    """Folder of the dataset that holds the scenes."""
-    stages: tuple[str, ...] = ("detector", "features", "decoders", "volume")
+    """Folder of the dataset that holds the scenes; `train_real` in many datasets of others."""
+    stages: tuple[str, ...] = ()
     """Which stages to run: detector, features, decoders, volume, cascade, points. They run in this
-    order."""
-    detector_steps: int = 1200
-    """Batches of 16 frames."""
-    feature_steps: int = 10000
-    """Batches of 32 crops."""
-    decoder_steps: int = 13000
-    """Batches of 32 crops of one object each."""
-    volume_steps: int = 3000
-    """Batches of 12 pairs of crops; of 2 with `--preset paper`."""
-    cascade_steps: int = 4000
-    """Batches of 8 pairs of crops with depth."""
-    points_steps: int = 4000
-    """Batches of 32 crops with depth."""
+    order. None = the first four; with --init, whose 2D features are kept, detector, decoders and
+    volume."""
+    detector_steps: int | None = None
+    """Batches of 16 frames; none = 1200, with --init 500."""
+    feature_steps: int | None = None
+    """Batches of 32 crops; none = 10000."""
+    decoder_steps: int | None = None
+    """Batches of 32 crops of one object each; none = 1000 for each object, 2000 at least."""
+    volume_steps: int | None = None
+    """Batches of 12 pairs of crops, of 2 with `--preset paper`; none = 3000, with --init 1000."""
+    cascade_steps: int | None = None
+    """Batches of 8 pairs of crops with depth; none = 4000."""
+    points_steps: int | None = None
+    """Batches of 32 crops with depth; none = 4000."""
     frozen_stages: int = 2
     """How many stages of the pretrained encoders stay as they are: fewer learn more, more are
     quicker. It may change when a run is resumed."""
@@ -121,6 +136,10 @@ class TrainEstimatorConfig:
         for name, values in (("pose_noise", self.pose_noise), ("pose_loss", (self.pose_loss,))):
             if not all(0 <= value < math.inf for value in values):
                 raise ValueError(f"{name} must be finite and at least 0, got {getattr(self, name)}")
+        for part in ("detector", "feature", "decoder", "volume", "cascade", "points"):
+            steps = getattr(self, f"{part}_steps")
+            if steps is not None and steps < 1:
+                raise ValueError(f"{part}_steps must be at least 1, got {steps}")
         if not 0 <= self.cut_and_paste <= 1:
             raise ValueError(f"cut_and_paste must be 0 to 1, got {self.cut_and_paste}")
         if self.augmentation not in ("mild", "strong"):
@@ -129,11 +148,18 @@ class TrainEstimatorConfig:
         if unknown:
             raise ValueError(f"unknown stages {unknown}; there are {', '.join(STAGES)}")
 
-    def stage(self, name: str) -> StageSettings:
+    @property
+    def chosen_stages(self) -> tuple[str, ...]:
+        """The stages to run: ``stages``, or where it is empty, those that are usually needed."""
+        first = ("detector",) if self.init is not None else ("detector", "features")
+        return self.stages or (*first, "decoders", "volume")
+
+    def stage(self, name: str, objects: int) -> StageSettings:
         """How a stage is trained.
 
         Args:
             name: one of ``STAGES``.
+            objects: how many objects are trained.
         """
         batch, learning_rate = _STAGES[name]
         if name == "volume" and self.preset == "paper":
@@ -146,4 +172,9 @@ class TrainEstimatorConfig:
             "cascade": self.cascade_steps,
             "points": self.points_steps,
         }[name]
+        if steps is None and name == "decoders":
+            each, least = _DECODER_STEPS
+            steps = max(least, each * objects)
+        elif steps is None:
+            steps = _STEPS[name][self.init is not None]
         return StageSettings(steps, batch, learning_rate * self.learning_rate)

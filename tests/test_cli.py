@@ -24,8 +24,8 @@ OPTIONS = {
     "generate": "out scenes objects scene seed workers",
     "cut-and-paste": "data out images backgrounds split objects move seed json",
     "check-data": "split scenes images out pictures json",
-    "train-estimator": "out seed",
-    "evaluate": "method weights preset solver roi scene scenes seed data pairs json",
+    "train-estimator": "data out objects split stages init seed",
+    "evaluate": "method weights preset solver roi scene scenes objects seed data pairs json",
     "estimate": "reference second K relative-pose object method depth weights out overlay json",
     "train-agent": "algo steps out env scene seed json",
     "evaluate-agent": "policy scene episodes seed json",
@@ -216,6 +216,7 @@ class KnownPose:
     """Answers one pose and keeps what it was asked."""
 
     object_names = ("can",)
+    networks = SimpleNamespace(objects={"can": load_object("can")})
 
     def __init__(self, T_cam_obj):
         self.T_cam_obj = T_cam_obj

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from two_view_pose.pose_estimator import cut_and_paste
 from two_view_pose.pose_estimator.augmentation import AugmentationConfig, erase_box
 from two_view_pose.pose_estimator.crops import STORED_SIDE, CropPack
 from two_view_pose.pose_estimator.cut_and_paste import CropPaster, CutAndPasteConfig, blend
@@ -142,10 +143,17 @@ def test_the_same_draw_whatever_was_drawn_before(three):
         assert all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
-def test_nothing_to_paste_is_told(three):
+def test_nothing_to_paste_is_told(three, monkeypatch):
     alone = discs([0, 0], [0, 1])
     with pytest.raises(ValueError, match="needs a second object"):
         CropPaster(alone, np.arange(2), CutAndPasteConfig(occlude=0.5))
+    # Drawn collages can be put behind it all the same.
+    monkeypatch.setattr(cut_and_paste, "BANK", 4)  # as many are drawn
+    drawn = CutAndPasteConfig(occlude=0.5, background=1.0, collages=0.5)
+    crop, mask = alone.crop(0), alone.mask(0)
+    paster = CropPaster(alone, np.arange(2), drawn)
+    behind, kept, _ = paster.paste(crop, mask, None, 0, np.random.default_rng(0))
+    assert not np.array_equal(behind, crop) and np.array_equal(kept, mask)
     full = discs([0, 1, 2], [0, 0, 0])
     with pytest.raises(ValueError, match="needs a frame that lacks an object"):
         CropPaster(full, np.arange(3), CutAndPasteConfig(background=0.5))

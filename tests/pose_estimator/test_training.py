@@ -54,9 +54,10 @@ def test_all_stages_end_in_weights_that_load(
     assert {r["stage"] for r in records} == set(stages)
     assert read_header(path)["training"]["steps"] == dict.fromkeys(stages, 1)
     assert pose_estimator.load("mid", path).networks.config.features.own_decoders
-    again = path.read_bytes()
+    again, header = path.read_bytes(), read_header(path)
+    assert header["held_out"] == {f"{stage}/figure": 0.5 for stage in stages}
     train_estimator(config)  # finished: nothing is trained again
-    assert path.read_bytes() == again
+    assert path.read_bytes() == again and read_header(path) == header
 
 
 @pytest.fixture

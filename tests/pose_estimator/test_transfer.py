@@ -137,4 +137,19 @@ def test_new_objects_must_be_trained(three, boxes, tmp_path: Path, capsys):
     ):
         start_from(config, networks)
     start_from(replace(config, stages=PARTS[:2]), networks)
+    # Unless told otherwise the stages are those that learn the new object on the 2D features.
+    start_from(replace(config, stages=()), networks)
     assert "taken over: detector, features, volume" in capsys.readouterr().out
+
+
+def test_decoders_need_features_to_build_on(three, boxes, tmp_path: Path):
+    three.trained = frozenset({"detector"})
+    try:
+        save_weights(three, tmp_path / "half.safetensors", {})
+    finally:
+        three.trained = frozenset({"detector", "features", "volume"})
+    networks = PoseNetworks({"brick": boxes["brick"]})
+    config = TrainEstimatorConfig(tmp_path, tmp_path, init=str(tmp_path / "half.safetensors"))
+    with pytest.raises(ValueError, match=r"no trained 2D features .* add features to --stages"):
+        start_from(config, networks)
+    start_from(replace(config, stages=("features", "decoders")), networks)
