@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -99,7 +100,7 @@ def _read_vertices(path: Path) -> np.ndarray:
         raise ValueError(f"{path} is missing, but models_info.json describes that object")
     try:
         # Textures would have vertices doubled that are one in the file.
-        mesh = trimesh.load(path, process=False, fix_texture=False)
+        mesh: Any = trimesh.load(path, process=False, fix_texture=False)
         vertices = np.asarray(mesh.vertices, dtype=np.float64) / MM
     except Exception as error:  # readers of broken files fail in every way there is
         raise ValueError(f"{path} cannot be read as a mesh (truncated?): {error!r}") from error

@@ -23,7 +23,7 @@ class BopTarget(NamedTuple):
     scene_id: int
     image_id: int
     obj_id: int
-    count: int
+    instances: int
 
 
 def is_test(split: str) -> bool:
@@ -44,7 +44,7 @@ def write_targets(dataset: BopDataset, scene_ids: Iterable[int] | None = None) -
     entries = [
         {
             "im_id": target.image_id,
-            "inst_count": target.count,
+            "inst_count": target.instances,
             "obj_id": target.obj_id,
             "scene_id": target.scene_id,
         }

@@ -88,14 +88,16 @@ def score_results(
             raise ValueError(f"{name}: the dataset has no model of the object")
         annotations = truths.get(target[:2], ())
         instances = [a for a in annotations if a.obj_id == target.obj_id]
-        if len(instances) < target.count:
+        if len(instances) < target.instances:
             raise ValueError(
-                f"{name}: scene_gt.json has {len(instances)} of {target.count} poses; a file can "
-                "be scored only where the truth is public"
+                f"{name}: scene_gt.json has {len(instances)} of {target.instances} poses; a file "
+                "can be scored only where the truth is public"
             )
         instances.sort(key=lambda a: -a.visibility)
-        instances = instances[: target.count]
-        estimates = sorted(of_target.get(target[:3], []), key=lambda e: -e.score)[: target.count]
+        instances = instances[: target.instances]
+        estimates = sorted(of_target.get(target[:3], []), key=lambda e: -e.score)[
+            : target.instances
+        ]
         model = objects[target.obj_id]
         for truth, estimate, error in _matched(estimates, instances, model):
             outcomes.append(
