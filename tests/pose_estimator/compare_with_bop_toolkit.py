@@ -16,35 +16,29 @@ import json
 import subprocess
 import sys
 import tempfile
+from importlib import import_module
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from bop_toolkit_measures import POSE_PAIRS, compare_metrics, compare_scores, wrong_estimates
+from bop_toolkit_tally import MM, Tally
 from two_view_pose.assets import surface
-from two_view_pose.pose_estimator import metrics
 from two_view_pose.pose_estimator.bop import BopDataset, read_dataset, read_depth, read_rgb
 from two_view_pose.pose_estimator.bop_models_info import (
     CONTINUOUS_SYMMETRY_STEPS,
     read_models_info,
 )
-from two_view_pose.pose_estimator.bop_objects import EvaluationObject, dataset_objects
+from two_view_pose.pose_estimator.bop_objects import dataset_objects
 from two_view_pose.pose_estimator.bop_results import (
-    BopResult,
     read_bop_results,
     write_bop_results,
 )
-from two_view_pose.pose_estimator.bop_targets import LEAST_VISIBLE, read_targets
 from two_view_pose.pose_estimator.geometry import make_transform
-from two_view_pose.pose_estimator.outcomes import summarise
 from two_view_pose.pose_estimator.results import versions
-from two_view_pose.pose_estimator.score_results import score_results
 
 LIMIT = 1e-6
-POSE_PAIRS = 40
-"""Random pairs of poses for each object."""
-MM = 1000.0
 
 NOT_COMPARED = {
     "pose_error.mssd, mspd, proj": "this project has no such measures",
@@ -55,42 +49,12 @@ NOT_COMPARED = {
 }
 
 
-class Tally:
-    """Largest absolute difference and count of each quantity."""
-
-    def __init__(self) -> None:
-        self.rows: dict[tuple[str, str], list[float]] = {}
-
-    def add(self, quantity: str, unit: str, ours: Any, theirs: Any) -> None:
-        """Compares two arrays of one shape, or numbers."""
-        a, b = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
-        if a.shape != b.shape:
-            raise ValueError(f"{quantity}: ours is of shape {a.shape}, theirs of {b.shape}")
-        row = self.rows.setdefault((quantity, unit), [0.0, 0])
-        difference = float(np.abs(a - b).max(initial=0.0))
-        row[0] = max(row[0], difference if np.isfinite(difference) else np.inf)
-        row[1] += a.size
-
-    def poses(self, what: str, ours: np.ndarray, R: np.ndarray, t: np.ndarray) -> None:
-        """Compares a transform in metres with the toolkit's rotation and millimetres."""
-        self.add(f"{what}, rotation", "1", ours[:3, :3], R)
-        self.add(f"{what}, translation", "mm", ours[:3, 3] * MM, np.ravel(t))
-
-    def records(self) -> list[dict[str, Any]]:
-        return [
-            {"quantity": name, "unit": unit, "largest_difference": row[0], "count": int(row[1])}
-            for (name, unit), row in self.rows.items()
-        ]
-
-
 def load_toolkit(folder: Path) -> SimpleNamespace:
     """The modules of a checkout."""
     sys.path.insert(0, str(folder))
-    from bop_toolkit_lib import inout, misc, pose_error, pose_matching, score
-
-    modules: dict[str, ModuleType] = {
-        m.__name__.split(".")[-1]: m for m in (inout, misc, pose_error, pose_matching, score)
-    }
+    names = ("inout", "misc", "pose_error", "pose_matching", "score")
+    # By name, as the toolkit is no dependency of this project.
+    modules = {name: import_module(f"bop_toolkit_lib.{name}") for name in names}
     return SimpleNamespace(**modules)
 
 
@@ -204,56 +168,6 @@ def compare_symmetries(
     tally.add("symmetries, translation", "mm", ours[:, :3, 3], theirs[nearest, :3, 3])
 
 
-def compare_metrics(
-    kit: SimpleNamespace, root: Path, points: dict[int, np.ndarray], tally: Tally
-) -> None:
-    """Errors of random poses, near and far."""
-    rng = np.random.default_rng(0)
-    objects = dataset_objects(root)
-    infos = kit.inout.load_json(root / "models_eval" / "models_info.json", keys_to_int=True)
-    for obj_id, pts in points.items():
-        symmetries = kit.misc.get_symmetry_transformations(infos[obj_id], 0.01)
-        for _ in range(POSE_PAIRS):
-            place = rng.uniform([-0.3, -0.2, 0.4], [0.3, 0.2, 1.5])
-            T_true = make_transform(Rotation.random(rng=rng).as_matrix(), place)
-            T_est = T_true @ random_motion(rng, *rng.choice([(0.02, 0.002), (0.3, 0.02), (3, 0.3)]))
-            R_e, R_g = T_est[:3, :3], T_true[:3, :3]
-            t_e, t_g = T_est[:3, 3:] * MM, T_true[:3, 3:] * MM
-            add = kit.pose_error.add(R_e, t_e, R_g, t_g, pts)
-            adi = kit.pose_error.adi(R_e, t_e, R_g, t_g, pts)
-            tally.add("ADD", "mm", metrics.add(T_est, T_true, pts / MM) * MM, add)
-            tally.add("ADD-S (adi)", "mm", metrics.add_s(T_est, T_true, pts / MM) * MM, adi)
-            ours = metrics.add_or_add_s(T_est, T_true, objects[obj_id]) * MM
-            tally.add("ADD(-S) by the object", "mm", ours, adi if len(symmetries) > 1 else add)
-            ours = np.degrees(metrics.rotation_error(T_est, T_true))
-            tally.add("rotation error (re)", "degrees", ours, kit.pose_error.re(R_e, R_g))
-            ours = np.degrees(metrics.rotation_error(T_est, T_true, objects[obj_id].symmetries))
-            least = min(kit.pose_error.re(R_e, R_g @ s["R"]) for s in symmetries)
-            tally.add("rotation error, least over symmetries", "degrees", ours, least)
-            ours = metrics.translation_error(T_est, T_true) * MM
-            tally.add("translation error (te)", "mm", ours, kit.pose_error.te(t_e, t_g))
-
-
-def random_motion(rng: np.random.Generator, radians: float, metres: float) -> np.ndarray:
-    """A motion (4, 4) of about that size."""
-    turn = rng.normal(size=3)
-    turn *= radians * rng.uniform(0.2, 1.0) / np.linalg.norm(turn)
-    return make_transform(Rotation.from_rotvec(turn).as_matrix(), rng.normal(size=3) * metres / 2)
-
-
-def wrong_estimates(dataset: BopDataset) -> list[BopResult]:
-    """The truth, spoilt: some poses a little off, some far, some missing, some there twice."""
-    rng = np.random.default_rng(1)
-    results = []
-    for image in dataset:
-        for a in image.annotations:
-            for _ in range(int(rng.choice([0, 1, 2], p=[0.15, 0.7, 0.15]))):
-                T = a.T_cam_obj @ random_motion(rng, *rng.choice([(0.05, 0.005), (0.3, 0.03)]))
-                numbers = (image.scene_id, image.image_id, a.obj_id)
-                results.append(BopResult(*numbers, float(rng.uniform()), T, 0.25))
-    return results
-
-
 def compare_results(kit: SimpleNamespace, dataset: BopDataset, tally: Tally) -> None:
     """Result files: ours in the toolkit, the toolkit's in ours."""
     results = wrong_estimates(dataset)
@@ -272,77 +186,6 @@ def compare_results(kit: SimpleNamespace, dataset: BopDataset, tally: Tally) -> 
             other = [row[name] for name in ("scene_id", "im_id", "obj_id", "score", "time")]
             numbers = [*mine.target, mine.score, mine.seconds]
             tally.add(f"result file {kind}, ids, score, time", "1", numbers, other)
-
-
-def compare_scores(
-    kit: SimpleNamespace, dataset: BopDataset, points: dict[int, np.ndarray], tally: Tally
-) -> float:
-    """Targets, and the recall of spoilt poses, each side with its own matching and errors.
-
-    Returns:
-        The recall, so that a reader sees that it is neither none nor all.
-    """
-    objects, results = dataset_objects(dataset.root), wrong_estimates(dataset)
-    targets = read_targets(dataset)
-    truths = {(image.scene_id, image.image_id): image.annotations for image in dataset}
-    ours = summarise(score_results(results, targets, truths, objects), {})
-    found: list[tuple[int, ...]] = []
-    matches: list[dict[str, Any]] = []
-    for scene_id in dataset.scene_ids:
-        folder = dataset.root / dataset.split / f"{scene_id:06d}"
-        gt = kit.inout.load_scene_gt(folder / "scene_gt.json")
-        infos = kit.inout.load_json(folder / "scene_gt_info.json", keys_to_int=True)
-        for im_id in gt:
-            wanted = kit.inout.get_im_targets(gt[im_id], infos[im_id], LEAST_VISIBLE)
-            found += [(scene_id, im_id, o, t["inst_count"]) for o, t in wanted.items()]
-        valid = {
-            im_id: [info["visib_fract"] >= LEAST_VISIBLE for info in infos[im_id]] for im_id in gt
-        }
-        errors = toolkit_errors(kit, scene_id, gt, infos, results, objects, points)
-        matches += kit.pose_matching.match_poses_scene(
-            scene_id, gt, infos, valid, errors, [0.1], n_top=1
-        )
-    tally.add("targets", "1", sorted(targets), sorted(found))
-    asked = sorted({target.obj_id for target in targets})
-    seen = [m for m in matches if m["obj_id"] in asked]
-    scores = kit.score.calc_localization_scores(dataset.scene_ids, asked, seen, 1, do_print=False)
-    recalls = {r["object"]: r["value"] for r in ours if r["metric"] == "add_s_recall"}
-    mine = [recalls[objects[obj_id].name] for obj_id in asked]
-    tally.add("recall by object", "1", mine, [scores["obj_recalls"][o] for o in asked])
-    tally.add("recall, mean over objects", "1", recalls["mean"], scores["mean_obj_recall"])
-    return recalls["mean"]
-
-
-def toolkit_errors(
-    kit: SimpleNamespace,
-    scene_id: int,
-    gt: dict[int, list[dict[str, Any]]],
-    infos: dict[int, list[dict[str, Any]]],
-    results: list[BopResult],
-    objects: dict[int, EvaluationObject],
-    points: dict[int, np.ndarray],
-) -> list[dict[str, Any]]:
-    """ADD or ADI in diameters of each estimate of a scene, as its pose matching takes them."""
-    rows = []
-    for est_id, result in enumerate(results):
-        if result.scene_id != scene_id:
-            continue
-        model = objects[result.obj_id]
-        measure = kit.pose_error.adi if model.symmetric else kit.pose_error.add
-        T, pts = result.T_cam_obj, points[result.obj_id]
-        of_object = [
-            (i, g) for i, g in enumerate(gt[result.image_id]) if g["obj_id"] == result.obj_id
-        ]
-        errors = {}
-        for i, g in of_object:
-            e = measure(T[:3, :3], T[:3, 3:] * MM, g["cam_R_m2c"], g["cam_t_m2c"], pts)
-            errors[i] = [e / (model.diameter * MM)]
-        visible = {i: infos[result.image_id][i]["visib_fract"] for i, _ in of_object}
-        rows.append(
-            {"im_id": result.image_id, "obj_id": result.obj_id, "est_id": est_id,
-             "score": result.score, "errors": errors, "gt_visib_fracts": visible}
-        )  # fmt: skip
-    return rows
 
 
 def compare(toolkit: Path, data: Path) -> dict[str, Any]:

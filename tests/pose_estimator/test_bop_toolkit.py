@@ -58,11 +58,11 @@ def test_the_kept_figures_are_complete_and_differ_by_nothing():
     assert document["not_compared"] == comparison.NOT_COMPARED
 
 
-@pytest.mark.skipif(not TOOLKIT, reason="BOP_TOOLKIT names no checkout of bop_toolkit")
 @pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in ("imageio", "png")),
     reason="bop_toolkit needs imageio and pypng",
 )
+@pytest.mark.skipif(not TOOLKIT, reason="BOP_TOOLKIT names no checkout of bop_toolkit")
 def test_nothing_differs_in_a_fresh_run(tmp_path):
     from two_view_pose.envs.generate import GenerateConfig, generate
 
