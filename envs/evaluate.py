@@ -7,16 +7,26 @@ from pathlib import Path
 
 from ..pose_estimator.evaluate import EvaluateConfig, evaluate_dataset
 from ..pose_estimator.find_dataset import find_dataset
+from ..pose_estimator.score_results import score_file
 from .generate import GenerateConfig, generate
 
 
 def evaluate(config: EvaluateConfig) -> None:
-    """Measures an estimator on our scenes or on a BOP dataset.
+    """Measures an estimator, or somebody's poses, on our scenes or on a BOP dataset.
 
     Raises:
         ValueError: if the data or the weights are not usable.
         FileNotFoundError: if the weights or the dataset are missing.
     """
+    if config.score is not None:
+        if config.data is None or config.csv is not None:
+            raise ValueError(
+                f"--score {config.score} goes with --data, the dataset that the poses are of, and "
+                "without --csv"
+            )
+        root = find_dataset(config.data)
+        score_file(config, root, {"dataset": root.name})
+        return
     if config.data is not None:
         root = find_dataset(config.data)
         evaluate_dataset(config, root, {"dataset": root.name})

@@ -5,14 +5,25 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 from .bop import BopDataset, BopImage
+from .bop_fields import integer, read_json, required
 from .bop_writer import write_json
 
 TARGETS_FILE = "test_targets_bop19.json"
 
 LEAST_VISIBLE = 0.1
 """Visible fraction from which on an object has to be found."""
+
+
+class BopTarget(NamedTuple):
+    """So many instances of an object are to be found in a picture."""
+
+    scene_id: int
+    image_id: int
+    obj_id: int
+    instances: int
 
 
 def is_test(split: str) -> bool:
@@ -32,16 +43,50 @@ def write_targets(dataset: BopDataset, scene_ids: Iterable[int] | None = None) -
     """
     entries = [
         {
-            "im_id": image.image_id,
-            "inst_count": count,
-            "obj_id": obj_id,
-            "scene_id": image.scene_id,
+            "im_id": target.image_id,
+            "inst_count": target.instances,
+            "obj_id": target.obj_id,
+            "scene_id": target.scene_id,
         }
+        for target in _visible_targets(dataset, scene_ids)
+    ]
+    write_json(Path(dataset.root) / TARGETS_FILE, entries)
+
+
+def read_targets(dataset: BopDataset) -> tuple[BopTarget, ...]:
+    """What is to be found in a split.
+
+    That is what ``test_targets_bop19.json`` lists, for a test split of a dataset that has such a
+    file; else all of which at least a tenth is visible.
+
+    Raises:
+        ValueError: if the file is broken; the message names file and entry.
+    """
+    path = dataset.root / TARGETS_FILE
+    if not (is_test(dataset.split) and path.is_file()):
+        return tuple(_visible_targets(dataset))
+    targets = []
+    for i, entry in enumerate(read_json(path, list)):
+        where = f"{path}: target {i}"
+        numbers = [
+            integer(required(entry, name, where), f"{where}: field {name!r}")
+            for name in ("scene_id", "im_id", "obj_id", "inst_count")
+        ]
+        if numbers[-1] < 1:
+            raise ValueError(f"{where}: field 'inst_count' must be at least 1, got {numbers[-1]}")
+        targets.append(BopTarget(*numbers))
+    return tuple(targets)
+
+
+def _visible_targets(
+    dataset: BopDataset, scene_ids: Iterable[int] | None = None
+) -> list[BopTarget]:
+    return [
+        BopTarget(image.scene_id, image.image_id, obj_id, count)
         for scene_id in (dataset.scene_ids if scene_ids is None else scene_ids)
         for image in dataset.scene(scene_id).values()
         for obj_id, count in _visible(image)
     ]
-    write_json(Path(dataset.root) / TARGETS_FILE, entries)
 
 
 def _visible(image: BopImage) -> list[tuple[int, int]]:

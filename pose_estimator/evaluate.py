@@ -13,6 +13,7 @@ import numpy as np
 from ..assets.object_model import ObjectModel
 from .bop import BopDataset, BopPair, read_dataset, read_depth, read_rgb
 from .bop_pairs import PAIRS_FILE
+from .bop_results import BopResult, surest_of_each_target, write_bop_results
 from .estimate import PoseEstimate, Roi, roi_of_pose
 from .find_pairs import find_pairs
 from .geometry import View
@@ -37,6 +38,9 @@ class EvaluateConfig:
     Either on fresh scenes of ours (--scene, rendered first), or on a BOP dataset (--data). The
     estimator gets full frames, the camera matrix, the relative camera pose and the object's name;
     `rgbd` also gets the depth sensor's maps.
+
+    --score measures poses of others instead: of each target in the dataset's list of targets, with
+    the dataset's own models; what is missing is wrong. Options of an estimator then mean nothing.
     """
 
     method: str = "mid"
@@ -65,6 +69,11 @@ class EvaluateConfig:
     pairs: Path | None = None
     """File with pairs of views; none = two_view_pairs.json of the dataset, or where it has none,
     pairs found from its poses: 10 to 60 degrees apart, four for each reference view."""
+    csv: Path | None = None
+    """Write the poses in the reference views as a BOP result file, METHOD_DATASET-SPLIT.csv by
+    custom. Where a reference view is in several pairs, the pose that is surest of its keypoints."""
+    score: Path | None = None
+    """Run no estimator: score this BOP result file, anyone's, on --data."""
     keep: Path | None = None
     """Keep the rendered scenes in this folder; if they are there already, use them."""
     threads: int = 0
@@ -151,6 +160,9 @@ def evaluate_pairs(
         estimate = estimator.estimate(given, name, *told)
         seconds = time.perf_counter() - start
         error = add_or_add_s(estimate.T_cam_obj, truth.T_cam_obj, model) / model.diameter
+        score = estimate.rois[0].score if estimate.rois else 1.0
+        row = (pair.scene_id, pair.ref_image_id, model.obj_id, score, estimate.T_cam_obj, seconds)
+        variance = np.trace(estimate.keypoint_covariance, axis1=1, axis2=2).mean()
         outcomes.append(
             Outcome(
                 object_name=name,
@@ -159,8 +171,10 @@ def evaluate_pairs(
                 seconds=seconds,
                 baseline=float(pair.baselines_deg.get(model.obj_id, pair.baseline_deg)),
                 visibility=truth.visibility,
-                score=estimate.rois[0].score if estimate.rois else 1.0,
+                score=score,
                 gap=pair.gap,
+                estimate=BopResult(*row),
+                uncertainty=float(np.sqrt(variance)),
             )
         )
     return outcomes
@@ -214,6 +228,9 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     for gap in sorted({o.gap for o in outcomes if o.gap is not None}):
         group = [o for o in outcomes if o.gap == gap]
         records += summarise(group, {**tags, "gap": gap}, config.seed)
+    if config.csv is not None:
+        found = [(o.estimate, o.uncertainty) for o in outcomes if o.estimate is not None]
+        write_bop_results(config.csv, surest_of_each_target(found))
     if config.json is not None:
         write_results(config.json, records, command=_command(config), seed=config.seed)
     return records

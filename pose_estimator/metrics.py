@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,6 +17,21 @@ from scipy.spatial.transform import Rotation
 
 from ..assets.object_model import ObjectModel
 from .geometry import check_rigid, invert, transform
+
+
+class MeasuredObject(Protocol):
+    """What ADD(-S) asks of an object.
+
+    Attributes:
+        points: (P, 3) in its own frame, metres.
+        symmetric: whether ADD-S is the measure.
+    """
+
+    @property
+    def points(self) -> np.ndarray: ...
+    @property
+    def symmetric(self) -> bool: ...
+    def __hash__(self) -> int: ...
 
 
 def add(T_est: np.ndarray, T_true: np.ndarray, points: np.ndarray) -> float:
@@ -63,7 +79,7 @@ def add_s(
     return float(distances.mean())
 
 
-def add_or_add_s(T_est: np.ndarray, T_true: np.ndarray, object_model: ObjectModel) -> float:
+def add_or_add_s(T_est: np.ndarray, T_true: np.ndarray, object_model: MeasuredObject) -> float:
     """ADD(-S): ADD-S for a symmetric object and ADD for any other, in metres.
 
     Args:
@@ -216,7 +232,7 @@ def bootstrap_interval(
 
 
 @lru_cache(maxsize=128)
-def _surface_tree(object_model: ObjectModel) -> cKDTree:
+def _surface_tree(object_model: MeasuredObject) -> cKDTree:
     return cKDTree(object_model.points)
 
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from two_view_pose.pose_estimator import evaluate
 from two_view_pose.pose_estimator.bop import BopDataset, read_dataset, read_depth, read_pairs
 from two_view_pose.pose_estimator.bop_pairs import BopPair
+from two_view_pose.pose_estimator.bop_results import read_bop_results
 from two_view_pose.pose_estimator.bop_writer import write_pairs
 from two_view_pose.pose_estimator.estimate import PoseEstimate
 from two_view_pose.pose_estimator.evaluate import (
@@ -273,6 +274,37 @@ def test_outcomes_keep_the_gap_and_are_summed_up_for_each(
         if r["metric"] == "add_s_recall" and r["object"] == "mean"
     }
     assert counts == {None: 6, 1: 3, 5: 3}
+
+
+def test_poses_of_the_reference_views_are_written_once_each(
+    opened, dataset, boxes, monkeypatch, tmp_path
+):
+    # Each brick is asked for with both second views; the estimator is surer of the latter.
+    pairs = [replace(p, target_obj_id=boxes["brick"].obj_id) for p in read_pairs(dataset)]
+    write_pairs(tmp_path / "pairs.json", pairs)
+    oracle = Oracle(opened, boxes)
+    oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
+    answer = oracle.estimate
+
+    def estimate(views, name, *told):
+        second = len(oracle.asked) % 2 == 1
+        found = answer(views, name, *told)
+        shift = make_transform(np.eye(3), np.array([0, 0, 0.0 if second else 0.01]))
+        covariance = np.tile(np.eye(3), (9, 1, 1)) * (1e-6 if second else 1e-4)
+        return PoseEstimate(shift @ found.T_cam_obj, found.keypoints, covariance, [])
+
+    monkeypatch.setattr(oracle, "estimate", estimate)
+    monkeypatch.setattr("two_view_pose.pose_estimator.load", lambda *a, **k: oracle)
+    target = tmp_path / "oracle_boxes-train_pbr.csv"
+    config = EvaluateConfig(split="train_pbr", pairs=tmp_path / "pairs.json", csv=target)
+    records = evaluate_dataset(config, dataset, {})
+    assert figure(records, "add_s_recall", "mean")["n"] == 6
+    results = read_bop_results(target)
+    assert [result.target for result in results] == [(scene, 0, 3) for scene in range(3)]
+    for result in results:
+        truth = opened.scene(result.scene_id)[0].annotation(3)
+        np.testing.assert_allclose(result.T_cam_obj, truth.T_cam_obj, atol=1e-9)
+        assert result.score == 1.0 and result.seconds > 0
 
 
 def test_the_table_names_every_object(capsys):

@@ -1,0 +1,109 @@
+"""The objects of a BOP dataset as its errors are measured: points, diameter, symmetries."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from ..assets import surface
+from .bop_fields import MM
+from .bop_models_info import BopModelInfo, read_models_info
+
+_FOLDERS = ("models_eval", "models")
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluationObject:
+    """One object of a dataset, without looks.
+
+    Attributes:
+        obj_id: its number.
+        name: its name, or ``obj_000005`` where the dataset gives none.
+        points: (N, 3) the vertices of its mesh, metres; BOP's toolkit measures on them too.
+        diameter: largest distance between two surface points, metres.
+        symmetries: (S, 4, 4) transforms under which it looks the same, identity first, metres.
+    """
+
+    obj_id: int
+    name: str
+    points: np.ndarray
+    diameter: float
+    symmetries: np.ndarray
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether ADD-S is the measure for this object."""
+        return len(self.symmetries) > 1
+
+
+def dataset_objects(
+    root: str | Path, obj_ids: Collection[int] | None = None
+) -> dict[int, EvaluationObject]:
+    """The objects that a dataset is measured with: those of ``models_eval``, else of ``models``.
+
+    Diameters and symmetries come from the folder's ``models_info.json``, or from that of
+    ``models``.
+
+    Args:
+        root: the dataset's folder.
+        obj_ids: which to read; None for all.
+
+    Returns:
+        obj_id -> object, ascending.
+
+    Raises:
+        ValueError: if there are no models, one is missing or broken, or its size is not that of
+            ``models_info.json``.
+    """
+    root = Path(root)
+    folder = next((name for name in _FOLDERS if (root / name).is_dir()), None)
+    if folder is None:
+        raise ValueError(
+            f"{root} has neither models_eval nor models: unpack the dataset's models there"
+        )
+    described = folder if (root / folder / "models_info.json").is_file() else "models"
+    infos = read_models_info(root, described)
+    wanted = sorted(infos if obj_ids is None else set(obj_ids))
+    if unknown := [obj_id for obj_id in wanted if obj_id not in infos]:
+        raise ValueError(
+            f"{root / described / 'models_info.json'} does not describe object {unknown[0]}; it "
+            f"has {', '.join(map(str, sorted(infos)))}"
+        )
+    return {i: _object(infos[i], root / folder / infos[i].mesh_path.name) for i in wanted}
+
+
+def _object(info: BopModelInfo, path: Path) -> EvaluationObject:
+    points = _read_vertices(path)
+    measured = surface.diameter(points)
+    if not 0.9 < measured / info.diameter < 1.1:
+        raise ValueError(
+            f"{path} has a diameter of {measured * MM:g} mm, but models_info.json says "
+            f"{info.diameter * MM:g} mm; both must be in millimetres"
+        )
+    return EvaluationObject(
+        obj_id=info.obj_id,
+        name=info.name or f"obj_{info.obj_id:06d}",
+        points=points,
+        diameter=info.diameter,
+        symmetries=info.symmetries,
+    )
+
+
+def _read_vertices(path: Path) -> np.ndarray:
+    """The vertices (N, 3) of a PLY file, metres."""
+    if not path.is_file():
+        raise ValueError(f"{path} is missing, but models_info.json describes that object")
+    try:
+        # Textures would have vertices doubled that are one in the file.
+        mesh: Any = trimesh.load(path, process=False, fix_texture=False)
+        vertices = np.asarray(mesh.vertices, dtype=np.float64) / MM
+    except Exception as error:  # readers of broken files fail in every way there is
+        raise ValueError(f"{path} cannot be read as a mesh (truncated?): {error!r}") from error
+    if vertices.ndim != 2 or len(vertices) < 4 or not np.isfinite(vertices).all():
+        raise ValueError(f"{path} must hold at least four vertices, all of them finite")
+    return vertices
