@@ -41,8 +41,13 @@ class EvaluationObject:
         return len(self.symmetries) > 1
 
 
+def has_models(root: str | Path) -> bool:
+    """Whether a dataset comes with models of its objects."""
+    return any((Path(root) / name).is_dir() for name in _FOLDERS)
+
+
 def dataset_objects(
-    root: str | Path, obj_ids: Collection[int] | None = None
+    root: str | Path, obj_ids: Collection[int] | None = None, *, ignore_unknown: bool = False
 ) -> dict[int, EvaluationObject]:
     """The objects that a dataset is measured with: those of ``models_eval``, else of ``models``.
 
@@ -52,6 +57,7 @@ def dataset_objects(
     Args:
         root: the dataset's folder.
         obj_ids: which to read; None for all.
+        ignore_unknown: leave out those that the dataset does not describe.
 
     Returns:
         obj_id -> object, ascending.
@@ -69,6 +75,8 @@ def dataset_objects(
     described = folder if (root / folder / "models_info.json").is_file() else "models"
     infos = read_models_info(root, described)
     wanted = sorted(infos if obj_ids is None else set(obj_ids))
+    if ignore_unknown:
+        wanted = [obj_id for obj_id in wanted if obj_id in infos]
     if unknown := [obj_id for obj_id in wanted if obj_id not in infos]:
         raise ValueError(
             f"{root / described / 'models_info.json'} does not describe object {unknown[0]}; it "

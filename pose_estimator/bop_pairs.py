@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .bop_fields import MM, array, integer, read_json, required, rigid, transforms
+from .geometry import invert
 
 PAIRS_FILE = "two_view_pairs.json"
 """The list of pairs in a dataset's folder."""
@@ -52,6 +53,17 @@ class BopPair:
         if self.target_obj_id is not None:
             return self.baselines_deg[self.target_obj_id]
         return float(np.mean(list(self.baselines_deg.values())))
+
+
+def turned_round(pair: BopPair) -> BopPair:
+    """The pair with its second view as the reference."""
+    return replace(
+        pair,
+        ref_image_id=pair.second_image_id,
+        second_image_id=pair.ref_image_id,
+        T_second_ref=invert(pair.T_second_ref),
+        visib_fracts={obj_id: (b, a) for obj_id, (a, b) in pair.visib_fracts.items()},
+    )
 
 
 def read_pairs(path: str | Path) -> tuple[BopPair, ...]:

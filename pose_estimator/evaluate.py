@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
 from ..assets.object_model import ObjectModel
 from .bop import BopDataset, BopPair, read_dataset, read_depth, read_rgb
-from .bop_pairs import PAIRS_FILE
+from .bop_objects import dataset_objects, has_models
+from .bop_pairs import PAIRS_FILE, turned_round
 from .bop_results import BopResult, surest_of_each_target, write_bop_results
-from .estimate import PoseEstimate, Roi, roi_of_pose
+from .bop_targets import TARGETS_FILE, is_test, read_targets
+from .estimate import PoseEstimate, Roi
 from .find_pairs import find_pairs
 from .geometry import View
-from .metrics import add_or_add_s
+from .metrics import MeasuredObject, add_or_add_s
 from .outcomes import Outcome, print_table, summarise
+from .told_regions import NOISE, ToldRegions
+
+if TYPE_CHECKING:
+    from .networks import PoseNetworks
 
 
 class _Estimator(Protocol):
     @property
     def object_names(self) -> tuple[str, ...]: ...
 
-    # It is given regions of interest only where ``truth_roi_scale`` says so.
+    # It is given regions of interest only where ``told`` says so.
     def estimate(
         self, views: Sequence[View], object_name: str, rois: Sequence[Roi] | None = None
     ) -> PoseEstimate: ...
@@ -37,7 +43,8 @@ class EvaluateConfig:
 
     Either on fresh scenes of ours (--scene, rendered first), or on a BOP dataset (--data). The
     estimator gets full frames, the camera matrix, the relative camera pose and the object's name;
-    `rgbd` also gets the depth sensor's maps.
+    `rgbd` also gets the depth sensor's maps. On a dataset errors are measured on its own models,
+    and where it lists targets (test_targets_bop19.json) pairs count for these.
 
     --score measures poses of others instead: of each target in the dataset's list of targets, with
     the dataset's own models; what is missing is wrong. Options of an estimator then mean nothing.
@@ -51,9 +58,10 @@ class EvaluateConfig:
     """Preset of the volumes that the weights must have been trained for: `fast` or `paper`."""
     solver: Literal["soft", "kabsch", "hard"] = "soft"
     """From 3D keypoints to the pose: `soft` (Soft RANSAC), `kabsch` or `hard` (RANSAC)."""
-    roi: Literal["detector", "truth"] = "detector"
-    """Where the estimator looks first. `truth` is for analysis only: it tells the estimator the
-    true region of the object, and so leaves the detector's errors out."""
+    roi: Literal["detector", "truth", "noisy"] = "detector"
+    """Where the estimator looks first. The others are for analyses that leave the detector out:
+    `truth` tells it the true region of the object, `noisy` that of the true centre plus noise of
+    4 cm in depth and 1.2 cm sideways (standard deviations, drawn anew for each picture)."""
     scene: Literal["linemod", "occlusion"] = "linemod"
     """Kind of our scenes."""
     scenes: int = 520
@@ -69,6 +77,8 @@ class EvaluateConfig:
     pairs: Path | None = None
     """File with pairs of views; none = two_view_pairs.json of the dataset, or where it has none,
     pairs found from its poses: 10 to 60 degrees apart, four for each reference view."""
+    both_ways: bool = False
+    """Take each pair a second time with its views exchanged."""
     csv: Path | None = None
     """Write the poses in the reference views as a BOP result file, METHOD_DATASET-SPLIT.csv by
     custom. Where a reference view is in several pairs, the pose that is surest of its keypoints."""
@@ -83,14 +93,24 @@ class EvaluateConfig:
 
 
 def target_pairs(
-    pairs: Sequence[BopPair], objects: Mapping[str, ObjectModel]
+    pairs: Sequence[BopPair],
+    objects: Mapping[str, ObjectModel],
+    targets: Container[tuple[int, int, int]] | None = None,
 ) -> Iterator[tuple[BopPair, str]]:
-    """Every pair with an object to estimate: its target where it names one, else all it shows."""
+    """Every pair with an object to estimate: its target where it names one, else all it shows.
+
+    Args:
+        pairs: of a dataset.
+        objects: those that can be estimated.
+        targets: (scene_id, im_id, obj_id) of what counts where a pair names no target; None: all.
+    """
     names = {model.obj_id: name for name, model in objects.items()}
     for pair in pairs:
         wanted = pair.obj_ids if pair.target_obj_id is None else (pair.target_obj_id,)
         for obj_id in wanted:
-            if obj_id in names:
+            key = (pair.scene_id, pair.ref_image_id, obj_id)
+            counts = pair.target_obj_id is not None or targets is None or key in targets
+            if obj_id in names and counts:
                 yield pair, names[obj_id]
 
 
@@ -102,7 +122,9 @@ def evaluate_pairs(
     *,
     views: int = 2,
     depth: bool = False,
-    truth_roi_scale: float | None = None,
+    told: ToldRegions | None = None,
+    surfaces: Mapping[str, MeasuredObject] | None = None,
+    targets: Container[tuple[int, int, int]] | None = None,
     progress: bool = True,
 ) -> list[Outcome]:
     """Runs an estimator on pairs of views.
@@ -114,8 +136,10 @@ def evaluate_pairs(
         objects: the models.
         views: 1 leaves the second view out.
         depth: whether the estimator is given depth maps.
-        truth_roi_scale: for analyses only: the estimator is told the true regions of interest, so
-            many diameters wide. None leaves it to find the object.
+        told: for analyses only: regions of interest that the estimator is told. None leaves it to
+            find the object.
+        surfaces: what errors are measured on, by the objects' names; None: ``objects``.
+        targets: see :func:`target_pairs`.
         progress: whether to show a bar.
 
     Returns:
@@ -126,10 +150,11 @@ def evaluate_pairs(
     """
     from tqdm import tqdm
 
-    work = list(target_pairs(pairs, objects))
+    work = list(target_pairs(pairs, objects, targets))
     scene_id, scene = -1, {}
     outcomes = []
-    for pair, name in tqdm(work, desc="evaluating", unit="pair", disable=not progress):
+    bar = tqdm(work, desc="evaluating", unit="pair", disable=not progress)
+    for number, (pair, name) in enumerate(bar):
         if pair.scene_id != scene_id:
             scene_id, scene = pair.scene_id, dataset.scene(pair.scene_id)
         model = objects[name]
@@ -147,19 +172,15 @@ def evaluate_pairs(
             View(read_rgb(image), image.K, T, read_depth(image) if depth else None)
             for image, T in cameras
         ]
-        told: tuple[list[Roi], ...] = ()
-        if truth_roi_scale is not None:
+        rois: tuple[list[Roi], ...] = ()
+        if told is not None:
             poses = (truth.T_cam_obj, truth_second.T_cam_obj)[:views]
-            told = (
-                [
-                    roi_of_pose(T, view.K, model.diameter, truth_roi_scale)
-                    for T, view in zip(poses, given, strict=True)
-                ],
-            )
+            rois = (told.regions(poses, given, model.diameter, number),)
         start = time.perf_counter()
-        estimate = estimator.estimate(given, name, *told)
+        estimate = estimator.estimate(given, name, *rois)
         seconds = time.perf_counter() - start
-        error = add_or_add_s(estimate.T_cam_obj, truth.T_cam_obj, model) / model.diameter
+        surface = (surfaces or objects)[name]
+        error = add_or_add_s(estimate.T_cam_obj, truth.T_cam_obj, surface) / surface.diameter
         score = estimate.rois[0].score if estimate.rois else 1.0
         row = (pair.scene_id, pair.ref_image_id, model.obj_id, score, estimate.T_cam_obj, seconds)
         variance = np.trace(estimate.keypoint_covariance, axis1=1, axis2=2).mean()
@@ -205,13 +226,17 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     pairs = find_pairs(dataset, config.pairs)
     if config.pairs is None and not (root / PAIRS_FILE).is_file():
         print(f"{len(pairs)} pairs of views found from the poses of {root / config.split}")
+    if config.both_ways:
+        pairs = [*pairs, *(turned_round(pair) for pair in pairs)]
     outcomes = evaluate_pairs(
         estimator,
         dataset,
         pairs,
         networks.objects,
         depth=config.method == "rgbd",
-        truth_roi_scale=networks.features.config.roi_scale if config.roi == "truth" else None,
+        told=_told_regions(config, networks),
+        surfaces=_surfaces(config, dataset, networks.objects),
+        targets=_targets(dataset),
     )
     if not outcomes:
         raise ValueError(
@@ -221,8 +246,8 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     tags = {"method": config.method, **tags}
     if config.solver != "soft":
         tags["solver"] = config.solver
-    if config.roi == "truth":
-        tags["roi"] = "truth"
+    if config.roi != "detector":
+        tags["roi"] = config.roi
     records = summarise(outcomes, tags, config.seed)
     print_table(records, _title(tags))
     for gap in sorted({o.gap for o in outcomes if o.gap is not None}):
@@ -236,9 +261,35 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     return records
 
 
+def _told_regions(config: EvaluateConfig, networks: PoseNetworks) -> ToldRegions | None:
+    """What ``config.roi`` means."""
+    if config.roi == "detector":
+        return None
+    scale = networks.features.config.roi_scale
+    return ToldRegions(scale, *NOISE[config.roi], seed=config.seed)
+
+
+def _surfaces(
+    config: EvaluateConfig, dataset: BopDataset, objects: Mapping[str, ObjectModel]
+) -> Mapping[str, MeasuredObject] | None:
+    """The dataset's own models of the objects, where it is not rendered by us and has some."""
+    if config.data is None or not has_models(dataset.root):
+        return None
+    names = {model.obj_id: name for name, model in objects.items()}
+    found = dataset_objects(dataset.root, names, ignore_unknown=True)
+    return {names[obj_id]: measured for obj_id, measured in found.items()}
+
+
+def _targets(dataset: BopDataset) -> set[tuple[int, int, int]] | None:
+    """(scene_id, im_id, obj_id) that a test split lists as targets; None where it has no list."""
+    if not (is_test(dataset.split) and (dataset.root / TARGETS_FILE).is_file()):
+        return None
+    return {target[:3] for target in read_targets(dataset)}
+
+
 def _title(tags: Mapping[str, Any]) -> str:
     """What a table shows, in words."""
-    words = {"solver": "solver {}", "roi": "regions of interest from the true pose"}
+    words = {"solver": "solver {}", "roi": "regions of interest told: {}"}
     return ", ".join(words.get(name, "{}").format(tag) for name, tag in tags.items())
 
 
@@ -248,4 +299,4 @@ def _command(config: EvaluateConfig) -> str:
     for name in ("preset", "solver", "roi"):
         if getattr(config, name) != getattr(EvaluateConfig, name):
             options += f" --{name} {getattr(config, name)}"
-    return options
+    return options + " --both-ways" * config.both_ways

@@ -25,7 +25,7 @@ OPTIONS = {
     "cut-and-paste": "data out images backgrounds split objects move seed json",
     "check-data": "split scenes images out pictures json",
     "train-estimator": "data out objects split stages init seed",
-    "evaluate": "method weights preset solver roi scene scenes objects seed data pairs csv score json",
+    "evaluate": "method weights preset solver roi scene scenes objects data pairs csv score json",
     "estimate": "reference second K relative-pose object method depth weights out overlay json",
     "train-agent": "algo steps out env scene seed json",
     "evaluate-agent": "policy scene episodes seed json",

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from two_view_pose.pose_estimator import evaluate
 from two_view_pose.pose_estimator.bop import BopDataset, read_dataset, read_depth, read_pairs
-from two_view_pose.pose_estimator.bop_pairs import BopPair
+from two_view_pose.pose_estimator.bop_pairs import BopPair, turned_round
 from two_view_pose.pose_estimator.bop_results import read_bop_results
 from two_view_pose.pose_estimator.bop_writer import write_pairs
 from two_view_pose.pose_estimator.estimate import PoseEstimate
@@ -24,9 +24,16 @@ from two_view_pose.pose_estimator.evaluate import (
     target_pairs,
 )
 from two_view_pose.pose_estimator.features import FeatureConfig
-from two_view_pose.pose_estimator.geometry import make_transform, project, transform
+from two_view_pose.pose_estimator.geometry import (
+    LINEMOD_K,
+    View,
+    make_transform,
+    project,
+    transform,
+)
 from two_view_pose.pose_estimator.outcomes import Outcome, print_table, summarise
 from two_view_pose.pose_estimator.results import read_results
+from two_view_pose.pose_estimator.told_regions import ToldRegions
 
 
 class Oracle:
@@ -215,13 +222,13 @@ def test_a_dataset_is_evaluated_and_written(opened, dataset, boxes, monkeypatch,
     assert asked[-1] == ("mid", "linemod", {"preset": None, "solver": "hard"})
     assert all(r["roi"] == "truth" and r["solver"] == "hard" for r in document["records"])
     assert document["command"].endswith("--solver hard --roi truth")
-    assert "regions of interest from the true pose" in capsys.readouterr().out
+    assert "regions of interest told: truth" in capsys.readouterr().out
 
 
 def test_regions_of_interest_can_be_the_true_ones(opened, dataset, boxes):
     oracle = Oracle(opened, boxes)
     pairs = read_pairs(dataset)
-    evaluate_pairs(oracle, opened, pairs, boxes, truth_roi_scale=1.4, progress=False)
+    evaluate_pairs(oracle, opened, pairs, boxes, told=ToldRegions(1.4), progress=False)
     for pair, (views, rois) in zip(pairs, oracle.told, strict=True):
         scene = opened.scene(pair.scene_id)
         assert len(rois) == len(views) == 2
@@ -232,8 +239,66 @@ def test_regions_of_interest_can_be_the_true_ones(opened, dataset, boxes):
             corners = project(transform(T, model.vertices), image.K)
             np.testing.assert_allclose(roi.centre, project(T[:3, 3], image.K), atol=1e-6)
             assert np.ptp(corners, axis=0).max() < roi.side < 2.5 * np.ptp(corners, axis=0).max()
-    evaluate_pairs(oracle, opened, pairs[:1], boxes, views=1, truth_roi_scale=1.4, progress=False)
+    evaluate_pairs(oracle, opened, pairs[:1], boxes, views=1, told=ToldRegions(1.4), progress=False)
     assert [len(part) for part in oracle.told[-1]] == [1, 1]
+
+
+def test_noise_of_told_regions_is_in_depth_and_sideways():
+    T = make_transform(np.eye(3), np.array([0.0, 0.0, 1.0]))
+    views = [View(np.zeros((480, 640, 3), np.uint8), LINEMOD_K, np.eye(4))] * 2
+    told = ToldRegions(1.4, depth_noise=0.04, side_noise=0.012)
+    drawn = [told.regions([T, T], views, 0.1, number) for number in range(400)]
+    depth = np.array([1.4 * 0.1 * LINEMOD_K[0, 0] / roi.side for rois in drawn for roi in rois])
+    assert depth.mean() == pytest.approx(1.0, abs=0.01)
+    assert depth.std() == pytest.approx(0.04, abs=0.004)
+    pixels = np.array([roi.centre for rois in drawn for roi in rois]) - LINEMOD_K[:2, 2]
+    spread = (pixels / LINEMOD_K[[0, 1], [0, 1]] * depth[:, None]).std(axis=0)
+    np.testing.assert_allclose(spread, 0.012, atol=0.0015)
+    # Each picture has noise of its own, and the same in every run.
+    assert drawn[0][0].side != drawn[0][1].side
+    assert told.regions([T, T], views, 0.1, 7)[1].side == drawn[7][1].side
+    assert np.array_equal(T, make_transform(np.eye(3), np.array([0.0, 0.0, 1.0])))
+
+
+def test_pairs_are_taken_both_ways(opened, dataset, boxes):
+    pairs = read_pairs(dataset)
+    oracle = Oracle(opened, boxes)  # checks the relative pose that it is told
+    back = [turned_round(pair) for pair in pairs]
+    outcomes = evaluate_pairs(oracle, opened, back, boxes, progress=False)
+    assert len(outcomes) == len(pairs) and max(o.error for o in outcomes) < 1e-6
+    first, second = pairs[0], turned_round(turned_round(pairs[0]))
+    assert (first.ref_image_id, first.second_image_id) == (
+        second.ref_image_id, second.second_image_id,
+    )  # fmt: skip
+    np.testing.assert_allclose(first.T_second_ref, second.T_second_ref, atol=1e-12)
+
+
+def test_only_listed_targets_count_where_a_pair_names_none(boxes):
+    first, second = boxes.values()
+    pair = BopPair(3, 0, 1, np.eye(4), {first.obj_id: 20.0, second.obj_id: 30.0})
+    named = replace(pair, target_obj_id=first.obj_id)
+    listed = {(3, 0, second.obj_id), (3, 1, first.obj_id)}
+    assert len(list(target_pairs([pair], boxes))) == 2
+    assert [name for _, name in target_pairs([pair], boxes, listed)] == [second.name]
+    assert [name for _, name in target_pairs([named], boxes, listed)] == [first.name]
+
+
+def test_errors_are_measured_on_the_surfaces_that_are_given(opened, dataset, boxes):
+    """Half a diameter on a mesh of twice the size is a quarter of it."""
+    pairs = read_pairs(dataset)
+    shifted = np.eye(4)
+    shifted[2, 3] = 0.03
+    oracle = Oracle(opened, boxes, shifted)
+    plain = evaluate_pairs(oracle, opened, pairs, boxes, progress=False)
+    twice = {
+        name: replace(model, diameter=2 * model.diameter, symmetries=np.eye(4)[None])
+        for name, model in boxes.items()
+    }
+    given = evaluate_pairs(oracle, opened, pairs, boxes, surfaces=twice, progress=False)
+    for before, after in zip(plain, given, strict=True):
+        model = boxes[before.object_name]
+        assert after.error == pytest.approx(0.03 / (2 * model.diameter))
+        assert before.error <= 0.03 / model.diameter + 1e-9
 
 
 def test_depth_is_given_where_it_is_asked_for(dataset_with_depth, dataset, opened, boxes):

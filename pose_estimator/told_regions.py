@@ -1,0 +1,52 @@
+"""Regions of interest from true poses: analyses tell an estimator where to look."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .estimate import Roi, roi_of_pose
+from .geometry import View
+
+NOISE = {"truth": (0.0, 0.0), "noisy": (0.04, 0.012)}
+"""Standard deviations of the centre in metres, in depth and sideways, by the option's value."""
+
+
+@dataclass(frozen=True)
+class ToldRegions:
+    """Regions of interest that an analysis tells the estimator, from the true poses.
+
+    Attributes:
+        scale: side in diameters.
+        depth_noise: standard deviation of the centre's depth, metres.
+        side_noise: the same sideways, metres.
+        seed: of the noise.
+    """
+
+    scale: float
+    depth_noise: float = 0.0
+    side_noise: float = 0.0
+    seed: int = 0
+
+    def regions(
+        self, T_cam_obj: Sequence[np.ndarray], views: Sequence[View], diameter: float, number: int
+    ) -> list[Roi]:
+        """One region for each view.
+
+        Args:
+            T_cam_obj: the true pose in each view, (4, 4) each.
+            views: pictures and cameras.
+            diameter: of the object, metres.
+            number: of the pair; with the seed it fixes the noise.
+        """
+        rng = np.random.default_rng([self.seed, number])
+        spread = (self.side_noise, self.side_noise, self.depth_noise)
+        moved = [T.copy() for T in T_cam_obj]
+        for T in moved:
+            T[:3, 3] += spread * rng.standard_normal(3)
+        return [
+            roi_of_pose(T, view.K, diameter, self.scale)
+            for T, view in zip(moved, views, strict=True)
+        ]
