@@ -27,13 +27,12 @@ class ObjectModel:
         diameter: largest distance between two surface points.
         symmetries: (S, 4, 4) float64 discrete symmetry transforms, identity first.
         points: (P, 3) float64 points spread evenly over the surface; ADD and ADD-S are taken on
-            them.
+            them. There are none (P = 0) where the mesh must not be passed on; ``vertices`` are then
+            those of the bounding box.
         stable_poses: (N, 4, 4) float64 T_table_obj in which the object rests on the plane z = 0;
             the first is upright, the others in order of falling probability.
         specular: MuJoCo material specularity, 0 to 1.
         shininess: MuJoCo material shininess, 0 to 1.
-        has_surface: whether the mesh is the object's. Weights for objects whose meshes must not be
-            passed on hold the bounding box in its place, which no error may be measured on.
     """
 
     name: str
@@ -49,7 +48,11 @@ class ObjectModel:
     stable_poses: np.ndarray
     specular: float = field(default=0.2)
     shininess: float = field(default=0.3)
-    has_surface: bool = True
+
+    @property
+    def has_surface(self) -> bool:
+        """Whether the mesh is the object's, and not its bounding box."""
+        return len(self.points) > 0
 
     @property
     def symmetric(self) -> bool:

@@ -107,9 +107,8 @@ def _without_surface(bounds: np.ndarray, known: dict[str, Any]) -> ObjectModel:
         faces=np.asarray(box.faces, dtype=np.int32),
         uv=np.zeros((len(box.vertices), 2), dtype=np.float32),
         texture=np.full((1, 1, 3), 128, dtype=np.uint8),
-        points=np.asarray(box.vertices, dtype=np.float64),
+        points=np.empty((0, 3)),
         stable_poses=np.eye(4)[None],
-        has_surface=False,
         **known,
     )
 

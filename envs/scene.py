@@ -97,7 +97,7 @@ class Scene:
         randomization: how the look changes between resets.
 
     Raises:
-        ValueError: if there are no objects.
+        ValueError: if there are no objects, or one was stored without its mesh.
     """
 
     def __init__(
@@ -108,6 +108,12 @@ class Scene:
     ) -> None:
         if not objects:
             raise ValueError("a scene needs at least one object, got none")
+        for name, model in objects.items():
+            if not model.has_surface:
+                raise ValueError(
+                    f"{name} cannot be drawn: it was stored without its mesh, as with weights whose "
+                    "objects must not be passed on. Name its mesh file (--objects, objects=)"
+                )
         self.objects = dict(objects)
         self.config = config or SceneConfig()
         self.randomization = randomization or Randomization()

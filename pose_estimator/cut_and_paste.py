@@ -157,7 +157,7 @@ class CropPaster:
             mask = cv2.warpAffine(
                 self.pack.mask(target), back[:2], (width, height), flags=cv2.INTER_AREA
             )
-            shown = cv2.max(shown, mask)
+            np.maximum(shown, mask, out=shown)
         collage = self._collages[rng.integers(len(self._collages))]
         window = _window(collage, max(height, width), rng)[:height, :width]
         return blend(np.ascontiguousarray(window), picture, shown)

@@ -223,11 +223,11 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     estimator = load(config.method, config.weights, preset=config.preset, solver=config.solver)
     networks = estimator.networks
     dataset = read_dataset(root, config.split)
-    pairs = find_pairs(dataset, config.pairs)
+    pairs = list(find_pairs(dataset, config.pairs))
     if config.pairs is None and not (root / PAIRS_FILE).is_file():
         print(f"{len(pairs)} pairs of views found from the poses of {root / config.split}")
     if config.both_ways:
-        pairs = [*pairs, *(turned_round(pair) for pair in pairs)]
+        pairs += [turned_round(pair) for pair in pairs]
     outcomes = evaluate_pairs(
         estimator,
         dataset,

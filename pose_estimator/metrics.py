@@ -23,12 +23,18 @@ class MeasuredObject(Protocol):
     """What ADD(-S) asks of an object.
 
     Attributes:
+        name: what it is called.
         points: (P, 3) in its own frame, metres.
+        diameter: metres.
         symmetric: whether ADD-S is the measure.
     """
 
     @property
+    def name(self) -> str: ...
+    @property
     def points(self) -> np.ndarray: ...
+    @property
+    def diameter(self) -> float: ...
     @property
     def symmetric(self) -> bool: ...
     def __hash__(self) -> int: ...
@@ -90,7 +96,7 @@ def add_or_add_s(T_est: np.ndarray, T_true: np.ndarray, object_model: MeasuredOb
     Raises:
         ValueError: if a pose is not rigid, or the object's surface is not known.
     """
-    if not object_model.has_surface:
+    if not len(object_model.points):
         raise ValueError(
             f"the surface of {object_model.name} is not stored with the weights, and ADD is taken "
             "on it: use the object of a mesh file, or a dataset that has models"

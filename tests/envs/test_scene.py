@@ -210,3 +210,9 @@ def test_wrong_input_is_refused(scene: Scene, objects: dict[str, ObjectModel]) -
     ):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             dataclasses.replace(SceneConfig(), **wrong)
+
+
+def test_an_object_without_its_mesh_is_not_drawn_as_a_box(objects: dict[str, ObjectModel]) -> None:
+    unseen = dataclasses.replace(objects["brick"], points=np.empty((0, 3)))
+    with pytest.raises(ValueError, match=r"brick cannot be drawn.*mesh file"):
+        Scene({"brick": unseen})
