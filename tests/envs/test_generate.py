@@ -10,9 +10,10 @@ import pytest
 import trimesh
 from small_sets import file_bytes
 from two_view_pose.assets import load_object, mesh_import
+from two_view_pose.envs.annotation import silhouette_window
 from two_view_pose.envs.camera import CameraRange, view_sphere_pose
 from two_view_pose.envs.generate import GenerateConfig, generate
-from two_view_pose.envs.scene_writer import scaled_intrinsics, silhouette_window
+from two_view_pose.envs.scene_writer import scaled_intrinsics
 from two_view_pose.envs.view_spread import spread_views, viewing_angle
 from two_view_pose.pose_estimator import bop
 from two_view_pose.pose_estimator.geometry import (
