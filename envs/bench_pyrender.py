@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 INSTALL_HINT = (
     "pip install 'two-view-pose[bench]', then pip install --no-deps pyrender==0.1.45 (its own list "
-    "of dependencies asks for PyOpenGL 3.1.0, and works with newer ones)"
+    "of dependencies asks for PyOpenGL 3.1.0, with which MuJoCo cannot use EGL)"
 )
 
 
