@@ -3,8 +3,8 @@
 ``python tests/envs/soak_memory.py --frames 5000`` makes scenes of all kinds with one
 ``SceneMaker``, each with depth, masks and annotations, and throws the files away. It is no test:
 how long it takes and what the driver keeps differ between machines. What is a leak shows in the
-slope after the warm-up, in which three worlds are compiled. After it memory still grows in steps of
-one to four megabytes, ever more seldom; so look at the curve too before you call a slope a leak.
+slope after the warm-up, in which three worlds are compiled. Memory may grow in steps of some
+megabytes, whose place in the run sways the slope: look at the curve too.
 """
 
 from __future__ import annotations
