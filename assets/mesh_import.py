@@ -20,6 +20,7 @@ from scipy.spatial import KDTree
 
 from ..pose_estimator.geometry import check_rigid
 from . import surface, texture
+from .mesh_cache import cached, mesh_key
 from .object_model import ObjectModel
 from .surface_colours import NORMAL_WEIGHT, sample_colours
 
@@ -48,6 +49,8 @@ def import_mesh(
     symmetries: np.ndarray | None = None,
 ) -> ObjectModel:
     """Reads a mesh file; the second call with the same arguments returns the same instance.
+
+    Other processes, and later ones, find the result on the disk: see `mesh_cache`.
 
     The object keeps the file's own frame, only scaled to metres, so that poses mean what they mean
     for the file. The ninth keypoint is the centre of the bounding box. Where BOP's
@@ -79,7 +82,14 @@ def import_mesh(
 def _import(
     path: Path, name: str | None, unit: str, symmetries: bytes | None, modified: int, size: int
 ) -> ObjectModel:
-    """Imports; ``modified`` and ``size`` only make a changed file another cache entry."""
+    """Imports or finds what was; ``modified`` and ``size`` make a changed file another entry."""
+    options = (name, unit, symmetries, MAX_FACES, TEXTURE_SIZE)
+    key = mesh_key(path, options, _info_file(path))
+    return cached(key, lambda: _make(path, name, unit, symmetries))
+
+
+def _make(path: Path, name: str | None, unit: str, symmetries: bytes | None) -> ObjectModel:
+    """Imports."""
     parts = _read_parts(path)
     info = _bop_info(path)
     measured = surface.diameter(np.concatenate([part.triangles.reshape(-1, 3) for part in parts]))
@@ -203,9 +213,15 @@ def _lighten(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return light
 
 
+def _info_file(path: Path) -> Path | None:
+    """The BOP ``models_info.json`` beside a file of a BOP dataset, or None."""
+    info = path.with_name("models_info.json")
+    return info if re.fullmatch(r"obj_\d+", path.stem) and info.is_file() else None
+
+
 def _bop_info(path: Path) -> BopModelInfo | None:
     """What a BOP ``models_info.json`` beside the file says of it, or None."""
-    if not re.fullmatch(r"obj_\d+", path.stem) or not (path.parent / "models_info.json").is_file():
+    if _info_file(path) is None:
         return None
     from ..pose_estimator.bop_models_info import read_models_info
 

@@ -7,21 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..assets.object_model import ObjectModel
-from ..pose_estimator.bop import BopAnnotation
-from ..pose_estimator.bop_boxes import NO_BOX, bounding_box
 from ..pose_estimator.bop_coco import COCO_FILE, write_coco
-from ..pose_estimator.bop_writer import (
-    BopFrame,
-    scene_folder,
-    write_scene,
-)
-from ..pose_estimator.geometry import (
-    LINEMOD_IMAGE_SIZE,
-    LINEMOD_K,
-    project,
-    transform,
-)
+from ..pose_estimator.bop_writer import BopFrame, scene_folder, write_scene
+from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K
+from .annotation import annotate
 from .camera import CameraRange
 from .checksums import SUMS_FILE, write_sums
 from .dataset_folder import remove_leftovers
@@ -104,21 +93,13 @@ class SceneMaker:
         for image_id in plan.frames:
             T_cam_world = path[image_id]
             frame = renderer.render(T_cam_world, self._K, depth=config.depth, masks=True)
-            assert frame.instances is not None
-            annotations, masks, silhouettes = [], [], []
-            for index, name in enumerate(frame.object_names):
-                mask = frame.instances == index
-                T_cam_obj = T_cam_world @ state.T_world_obj[name]
-                annotation, whole = self._annotate(scene, name, mask, T_cam_world, T_cam_obj)
-                annotations.append(annotation)
-                masks.append(mask)
-                silhouettes.append(whole)
+            known = annotate(scene, frame, T_cam_world, self._K)
             depth = frame.depth
             if depth is not None and config.depth_noise:
                 depth = apply_depth_sensor(depth, self._K, DepthSensorConfig(), depth_rng)
             valid = None
             if depth is not None and config.layout == "full":
-                valid = [int(np.count_nonzero(whole & (depth > 0))) for whole in silhouettes]
+                valid = [int(np.count_nonzero(whole & (depth > 0))) for whole in known.silhouettes]
             if sensor is None:
                 rgb = apply_sensor(frame.rgb, randomization.sensor, rng)
             else:
@@ -127,11 +108,11 @@ class SceneMaker:
                 rgb=rgb,
                 K=self._K,
                 T_cam_world=T_cam_world,
-                annotations=annotations,
-                masks=masks if config.masks else None,
+                annotations=known.annotations,
+                masks=known.masks if config.masks else None,
                 depth=depth,
                 image_id=image_id,
-                silhouettes=silhouettes if config.masks and config.layout == "full" else None,
+                silhouettes=known.silhouettes if config.masks and config.layout == "full" else None,
                 px_counts_valid=valid,
             )
 
@@ -151,77 +132,12 @@ class SceneMaker:
         views = [state.T_cam_world, *views]
         return rig_frames(views, self._config.stereo_baseline) if plan.stereo else views
 
-    def _annotate(
-        self,
-        scene: Scene,
-        name: str,
-        mask: np.ndarray,
-        T_cam_world: np.ndarray,
-        T_cam_obj: np.ndarray,
-    ) -> tuple[BopAnnotation, np.ndarray]:
-        """An object's annotation, and its silhouette within the picture, bool (H, W).
-
-        The silhouette is drawn alone, in a window that also reaches beyond the picture.
-        """
-        model = self._objects[name]
-        visible = int(np.count_nonzero(mask))
-        left, top, width, height = silhouette_window(model, T_cam_obj, self._K, mask.shape)
-        whole, box, inside = visible, bounding_box(mask), mask
-        if width > 0 and height > 0:
-            window_K = self._K - [[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]]
-            geom = scene.world.object_geoms[scene.world.object_names.index(name)]
-            alone = scene.graphics.silhouette(geom, T_cam_world, window_K, height, width)
-            x, y, *size = bounding_box(alone)
-            box = NO_BOX if (x, y, *size) == NO_BOX else (x + left, y + top, size[0], size[1])
-            whole = max(whole, int(np.count_nonzero(alone)))
-            inside = mask | _moved(alone, left, top, mask.shape)
-        annotation = BopAnnotation(
-            obj_id=model.obj_id,
-            T_cam_obj=T_cam_obj,
-            visibility=visible / whole if whole else 0.0,
-            bbox_visib=bounding_box(mask),
-            bbox_obj=box,
-            px_count_visib=visible,
-            px_count_all=whole,
-        )
-        return annotation, inside
-
 
 def is_finished(config: GenerateConfig, scene_id: int) -> bool:
     """Whether a scene lies on the disk with all that belongs to it."""
     folder = scene_folder(config.out, config.split, scene_id)
     wanted = (SUMS_FILE, COCO_FILE) if config.coco else (SUMS_FILE,)
     return all((folder / name).exists() for name in wanted)
-
-
-def _moved(window: np.ndarray, left: int, top: int, shape: tuple[int, ...]) -> np.ndarray:
-    """What of a window, bool (h, w), lies in a picture of ``shape`` (H, W)."""
-    picture = np.zeros(shape, dtype=bool)
-    bottom, right = top + window.shape[0], left + window.shape[1]
-    part = window[max(0, -top) : max(0, shape[0] - top), max(0, -left) : max(0, shape[1] - left)]
-    picture[max(0, top) : max(0, bottom), max(0, left) : max(0, right)] = part
-    return picture
-
-
-def silhouette_window(
-    model: ObjectModel, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, ...]
-) -> tuple[int, int, int, int]:
-    """Left, top, width, height in pixels of a window that holds the object's silhouette.
-
-    As in BOP, what is more than a picture's width or height outside of the picture is cut off.
-    An object that reaches behind the camera gets the largest window.
-    """
-    height, width = shape
-    limits = np.array([[-width, -height], [2 * width, 2 * height]])
-    points = transform(T_cam_obj, model.vertices)
-    if points[:, 2].max() <= 0.0:
-        return 0, 0, 0, 0
-    low, high = limits
-    if points[:, 2].min() > 0.01:
-        uv = project(points, K)
-        low = np.clip(np.floor(uv.min(axis=0)) - 1, *limits).astype(int)
-        high = np.clip(np.ceil(uv.max(axis=0)) + 2, *limits).astype(int)
-    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
 
 
 def scaled_intrinsics(height: int, width: int) -> np.ndarray:

@@ -30,7 +30,7 @@ OPTIONS = {
     "train-agent": "algo steps out env scene seed json",
     "evaluate-agent": "policy scene episodes seed json",
     "compare": "out quick methods weights noisy-weights no-pose-loss-weights data report-only",
-    "bench": "repeats weights seed json",
+    "bench": "repeats weights scenes seed json",
     "doctor": "quick json",
 }
 

@@ -7,11 +7,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import trimesh
 from small_sets import file_bytes
-from two_view_pose.assets import load_object
+from two_view_pose.assets import load_object, mesh_import
+from two_view_pose.envs.annotation import silhouette_window
 from two_view_pose.envs.camera import CameraRange, view_sphere_pose
 from two_view_pose.envs.generate import GenerateConfig, generate
-from two_view_pose.envs.scene_writer import scaled_intrinsics, silhouette_window
+from two_view_pose.envs.scene_writer import scaled_intrinsics
 from two_view_pose.envs.view_spread import spread_views, viewing_angle
 from two_view_pose.pose_estimator import bop
 from two_view_pose.pose_estimator.bop_pairs import read_pairs
@@ -232,3 +234,20 @@ def test_results_file_counts_the_pictures(config, images, tmp_path):
     generate(replace(config, json=tmp_path / "results.json"))
     records = json.loads((tmp_path / "results.json").read_text())["records"]
     assert {r["metric"]: r["value"] for r in records}["pictures"] == 12
+
+
+def test_a_mesh_kept_on_the_disk_gives_the_same_bytes(tmp_path, monkeypatch):
+    mesh = trimesh.creation.capsule(0.12, 0.03, count=[8, 8])
+    mesh.visual.vertex_colors = np.random.default_rng(0).integers(0, 255, (len(mesh.vertices), 3))
+    mesh.export(tmp_path / "capsule.ply")
+    mesh.export(tmp_path / "other.ply")
+    sets = []
+    for folder, cache in (("cold", "cache"), ("kept", "cache"), ("without", "capsule.ply")):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / cache))
+        mesh_import._import.cache_clear()  # as another process
+        objects = (str(tmp_path / "capsule.ply"), str(tmp_path / "other.ply"))
+        size = {"width": 96, "height": 72}
+        generate(GenerateConfig(tmp_path / folder, scenes=2, views=2, objects=objects, **size))
+        sets.append(file_bytes(tmp_path / folder))
+    assert len(list((tmp_path / "cache").rglob("*.npz"))) == 2
+    assert sets[0] == sets[1] == sets[2]
