@@ -111,8 +111,8 @@ class Scene:
         for name, model in objects.items():
             if not model.has_surface:
                 raise ValueError(
-                    f"{name} cannot be drawn: it was stored without its mesh, as with weights whose "
-                    "objects must not be passed on. Name its mesh file (--objects, objects=)"
+                    f"{name} cannot be drawn: it was stored without its mesh, as with weights for "
+                    "objects that must not be passed on. Name its mesh file (--objects, objects=)"
                 )
         self.objects = dict(objects)
         self.config = config or SceneConfig()

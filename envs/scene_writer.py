@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import sys
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
@@ -61,6 +63,7 @@ class SceneMaker:
             (folder / SUMS_FILE).unlink(missing_ok=True)
             write_coco(folder, [model.obj_id for model in self._objects.values()])
         write_sums(folder)
+        give_back_memory()
 
     def close(self) -> None:
         """Frees the GL contexts."""
@@ -131,6 +134,17 @@ class SceneMaker:
         views = spread_views(rng, state.T_cam_world, centre, count - 1, (low, high), cameras)
         views = [state.T_cam_world, *views]
         return rig_frames(views, self._config.stereo_baseline) if plan.stereo else views
+
+
+def give_back_memory() -> None:
+    """Returns freed memory to the system.
+
+    Pictures of all sizes come and go, and glibc's heap grew by some megabytes in a thousand of them
+    for all that nothing was held. Elsewhere than on glibc this does nothing.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if trim is not None:
+        trim(0)
 
 
 def is_finished(config: GenerateConfig, scene_id: int) -> bool:
