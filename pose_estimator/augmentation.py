@@ -29,6 +29,8 @@ class AugmentationConfig:
         motion: probability of a blur along a line.
         sharpen: probability of sharpening, as webcams do it.
         coarse: probability that the picture is of fewer pixels and enlarged.
+        blemish: probability that the target itself has spots: highlights, dirt, holes that a scan
+            closed.
     """
 
     shift: float = 0.04
@@ -47,6 +49,7 @@ class AugmentationConfig:
     motion: float = 0.0
     sharpen: float = 0.0
     coarse: float = 0.0
+    blemish: float = 0.0
 
     @classmethod
     def strong(cls) -> AugmentationConfig:
@@ -68,6 +71,7 @@ class AugmentationConfig:
             motion=0.15,
             sharpen=0.3,
             coarse=0.2,
+            blemish=0.5,
         )
 
 
@@ -118,6 +122,46 @@ def erase_box(
     for hidden in (mask, depth):
         if hidden is not None:
             hidden[box] = 0
+
+
+def blemish(
+    config: AugmentationConfig, rng: np.random.Generator, picture: np.ndarray, mask: np.ndarray
+) -> np.ndarray:
+    """Sometimes paints soft spots of any brightness on the target, which stays as visible as it is.
+
+    A scanned model differs from its object: LineMOD's can is open, its model is not.
+
+    Args:
+        config: how often.
+        rng: source of randomness.
+        picture: RGB uint8 (H, W, 3).
+        mask: of the visible target, uint8 (H, W), 0 to 255.
+
+    Returns:
+        A new picture, or the same where nothing happens.
+    """
+    if not _happens(config.blemish, rng):
+        return picture
+    rows, columns = np.nonzero(mask > 127)
+    if not len(rows):
+        return picture
+    side = len(mask)
+    for _ in range(int(rng.integers(1, 4))):
+        place = rng.integers(len(rows))
+        spot = np.zeros(mask.shape, np.uint8)
+        axes = (side * rng.uniform(0.04, 0.2) * np.array([1.0, rng.uniform(0.3, 1.0)])).tolist()
+        centre = (float(columns[place]), float(rows[place]))
+        cv2.ellipse(spot, (centre, axes, float(rng.uniform(0, 180))), 255, -1)
+        spot = cv2.GaussianBlur(spot, (0, 0), rng.uniform(0.5, 3.0))
+        alpha = cv2.multiply(cv2.min(spot, mask), rng.uniform(0.3, 1.0)).astype(np.uint8)
+        tint = np.clip(rng.uniform(0, 255) * rng.uniform(0.85, 1.15, 3), 0, 255)
+        weight = cv2.merge([alpha] * 3)
+        paint = np.full_like(picture, tint.astype(np.uint8))
+        picture = cv2.add(
+            cv2.multiply(paint, weight, scale=1 / 255),
+            cv2.multiply(picture, 255 - weight, scale=1 / 255),
+        )
+    return picture
 
 
 def augment_colours(

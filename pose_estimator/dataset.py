@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ..assets.object_model import ObjectModel
-from .augmentation import AugmentationConfig, augment_colours, erase_box, jitter_affine
+from .augmentation import AugmentationConfig, augment_colours, blemish, erase_box, jitter_affine
 from .crops import STORED_SCALE, STORED_SIDE, CropPack
 from .cut_and_paste import CropPaster, CutAndPasteConfig
 from .detector import DetectorConfig, detection_targets
@@ -168,6 +168,7 @@ class TrainingSet:
         if self._paster is not None:
             crop, mask, depth = self._paster.paste(crop, mask, depth, index, rng)
         if self.augmentation is not None:
+            crop = blemish(self.augmentation, rng, crop, mask)
             erase_box(self.augmentation, rng, crop, mask, depth)
             crop = augment_colours(crop, self.augmentation, rng)
         mask = cv2.resize(mask, (config.grid, config.grid), interpolation=cv2.INTER_AREA)

@@ -21,6 +21,15 @@ from .voting import vote_keypoints
 
 _CACHED_VIEWS = 4
 
+_TURNS = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5)
+"""Turns in radians of the crops that are tried where the upright one is not sure."""
+
+_SURE = 0.85
+"""Share of votes that agree from which on an upright crop is believed."""
+
+_SURER = 0.03
+"""How much surer a turned crop must be to be taken instead."""
+
 _MERGE_FLOOR = 0.3
 """Variance in grid pixels that several crops' votes are given at least when they are averaged."""
 
@@ -41,6 +50,7 @@ class EncodedView:
         mask: (G, G) probability of the visible object.
         decoder: (W, G, G) the last map of the 2D network.
         maps: the encoder's maps of the crop, (C, S, S) at strides 2 to 32.
+        turn: of the crop in the plane of the picture, radians.
     """
 
     view: View
@@ -54,6 +64,7 @@ class EncodedView:
     mask: np.ndarray
     decoder: Tensor | None = None
     maps: tuple[Tensor, ...] = ()
+    turn: float = 0.0
 
     @property
     def pixels(self) -> np.ndarray:
@@ -97,6 +108,9 @@ class Frontend:
     def encode(self, view: View, index: int, roi: Roi | None = None) -> EncodedView:
         """Finds an object in a view and votes for its keypoints.
 
+        The network knows objects as cameras see them that are held about level. Where its votes do
+        not agree, the crop is turned, and the turn with the surest votes is taken.
+
         Args:
             view: picture and camera.
             index: which object, in the networks' order.
@@ -108,6 +122,11 @@ class Frontend:
                     return encoded
         region = roi or self.detect(view, index)
         [encoded] = self.encode_turned(view, index, region, (0.0,))
+        if encoded.vote_score.mean() < _SURE:
+            turned = self.encode_turned(view, index, region, _TURNS)
+            surest = max(turned, key=lambda e: float(e.vote_score.mean()))
+            if surest.vote_score.mean() > encoded.vote_score.mean() + _SURER:
+                encoded = surest
         if roi is None:
             self._cache = [*self._cache[1 - _CACHED_VIEWS :], (view, index, encoded)]
         return encoded
@@ -181,7 +200,7 @@ class Frontend:
             features = network.decode(maps, torch.full((len(turns),), index))
         means, covariances, scores = (part.double().numpy() for part in vote(features))
         encoded = []
-        for n, to_crop in enumerate(to_crops):
+        for n, (to_crop, turn) in enumerate(zip(to_crops, turns, strict=True)):
             to_grid = grid_matrix(config.stride) @ to_crop
             encoded.append(
                 EncodedView(
@@ -196,6 +215,7 @@ class Frontend:
                     mask=torch.sigmoid(features.mask_logits[n].float()).numpy(),
                     decoder=features.decoder[n],
                     maps=tuple(m[n] for m in maps),
+                    turn=turn,
                 )
             )
         return encoded

@@ -19,7 +19,7 @@ from .solvers import solve_pose
 from .symmetry import keypoint_permutations
 
 _TURNS = (0.0, -0.2, 0.2)
-"""Turns in radians of the crops of the second look, all within what the network was trained on."""
+"""Turns in radians of the crops of the second look, from that of the first look."""
 
 
 class TwoViewEstimator(SingleViewEstimator):
@@ -126,6 +126,7 @@ class TwoViewEstimator(SingleViewEstimator):
         for first in encoded:
             T = first.view.T_cam_world @ invert(T_ref_world) @ fused.T_cam_obj
             roi = roi_of_pose(T, first.view.K, model.diameter, scale, first.roi.score)
-            upright, *turned = self.frontend.encode_turned(first.view, index, roi, _TURNS)
-            views.append(merge_votes(upright, [*turned, first], permutations))
+            turns = [first.turn + turn for turn in _TURNS]
+            again, *turned = self.frontend.encode_turned(first.view, index, roi, turns)
+            views.append(merge_votes(again, [*turned, first], permutations))
         return views

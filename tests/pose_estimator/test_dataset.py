@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from two_view_pose.pose_estimator.augmentation import AugmentationConfig, augment_colours
+from two_view_pose.pose_estimator.augmentation import AugmentationConfig, augment_colours, blemish
 from two_view_pose.pose_estimator.crops import CropPack
 from two_view_pose.pose_estimator.dataset import (
     SamplingConfig,
@@ -213,6 +213,19 @@ def test_each_change_changes_what_it_is_called_for(change, said):
         assert max(found) < plain
     else:
         assert min(found) > plain or np.median(found) > 1.1 * plain
+
+
+def test_blemishes_stay_on_the_target_and_leave_it_visible():
+    picture = np.full((64, 64, 3), 120, np.uint8)
+    mask = cv2.circle(np.zeros((64, 64), np.uint8), (30, 34), 16, 255, -1)
+    before, changed = picture.copy(), 0
+    for seed in range(20):
+        spotted = blemish(replace(PLAIN, blemish=1.0), np.random.default_rng(seed), picture, mask)
+        assert (spotted[mask == 0] == 120).all() and spotted.dtype == np.uint8
+        changed += (np.abs(spotted.astype(int) - 120) > 20).any()
+    assert changed > 12 and np.array_equal(picture, before)
+    for config, seen in ((PLAIN, mask), (replace(PLAIN, blemish=1.0), np.zeros_like(mask))):
+        assert blemish(config, np.random.default_rng(0), picture, seen) is picture
 
 
 def test_an_erased_box_is_taken_from_the_mask(pack, boxes):

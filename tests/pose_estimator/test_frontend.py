@@ -83,3 +83,31 @@ def test_a_crop_that_votes_for_the_equivalent_pose_is_renumbered(frontend, dotte
     other = replace(second, vote_mean=second.vote_mean[swapped])
     merged = merge_votes(second, [other], np.stack([SAME[0], swapped]))
     assert np.allclose(merged.vote_mean, second.vote_mean)
+
+
+def test_an_unsure_crop_is_turned_and_the_surest_turn_is_taken(frontend, dotted, monkeypatch):
+    """The votes' agreement is made to depend on the turn alone."""
+    asked = []
+
+    def with_scores(scores):
+        def encode_turned(self, view, index, roi, turns):
+            asked.append(tuple(turns))
+            plain = original(self, view, index, roi, turns)
+            return [
+                replace(e, vote_score=np.full(9, scores.get(t, 0.3)))
+                for e, t in zip(plain, turns, strict=True)
+            ]
+
+        return encode_turned
+
+    original = Frontend.encode_turned
+    for scores, turn, calls in (
+        ({0.0: 0.9, 1.0: 0.99}, 0.0, 1),  # sure: no other crop is made
+        ({0.0: 0.5, -1.0: 0.8, 0.5: 0.7}, -1.0, 2),
+        ({0.0: 0.5, 1.5: 0.51}, 0.0, 2),  # hardly surer: left as it is
+    ):
+        asked.clear()
+        monkeypatch.setattr(Frontend, "encode_turned", with_scores(scores))
+        found = frontend.encode(dotted, 0, roi=ROI)
+        assert found.turn == turn and len(asked) == calls
+        assert np.allclose(found.K_grid, np.linalg.inv(found.to_image) @ LINEMOD_K)

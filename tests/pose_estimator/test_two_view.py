@@ -198,3 +198,21 @@ def test_wrong_calls_are_refused(networks):
         LateFusionEstimator(networks).estimate([], "brick")
     with pytest.raises(NotImplementedError, match="does not say how it fuses"):
         looking(networks, TwoViewEstimator, [view(20), view(70)])
+
+
+def test_the_second_look_is_turned_as_the_first(networks):
+    asked = []
+
+    class Turned(PerfectVotes):
+        def encode(self, view, index, roi=None):
+            return replace(super().encode(view, index, roi), turn=0.5 * self.calls)
+
+        def encode_turned(self, view, index, roi, turns):
+            asked.append(tuple(turns))
+            return super().encode_turned(view, index, roi, turns)
+
+    estimator = LateFusionEstimator(networks)
+    estimator.frontend = Turned(networks)
+    estimator.estimate([view(20), view(70)], "brick")
+    assert [turns[0] for turns in asked] == [0.5, 1.0]
+    assert np.ptp(asked[0]) == pytest.approx(0.4) and min(asked[0]) < 0.5 < max(asked[0])
