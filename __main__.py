@@ -58,7 +58,7 @@ VERBS = {
         "trains the pose estimator on generated data",
     ),
     "evaluate": Verb(
-        "pose_estimator.evaluate:EvaluateConfig",
+        "pose_estimator.evaluate_config:EvaluateConfig",
         "envs.evaluate:evaluate",
         "ADD(-S) of an estimator on our scenes or on a BOP data set",
     ),

@@ -5,7 +5,8 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from ..pose_estimator.evaluate import EvaluateConfig, evaluate_dataset
+from ..pose_estimator.evaluate import evaluate_dataset
+from ..pose_estimator.evaluate_config import EvaluateConfig
 from ..pose_estimator.find_dataset import find_dataset
 from ..pose_estimator.score_results import score_file
 from .generate import GenerateConfig, generate

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from .bop_pairs import PAIRS_FILE, turned_round
 from .bop_results import BopResult, surest_of_each_target, write_bop_results
 from .bop_targets import TARGETS_FILE, is_test, read_targets
 from .estimate import PoseEstimate, Roi
+from .evaluate_config import EvaluateConfig
 from .find_pairs import find_pairs
 from .geometry import View
 from .metrics import MeasuredObject, add_or_add_s
@@ -37,65 +37,11 @@ class _Estimator(Protocol):
     ) -> PoseEstimate: ...
 
 
-@dataclass(frozen=True)
-class EvaluateConfig:
-    """Measures an estimator: ADD(-S) below a tenth of the diameter, per object and in the mean.
-
-    Either on fresh scenes of ours (--scene, rendered first), or on a BOP dataset (--data). The
-    estimator gets full frames, the camera matrix, the relative camera pose and the object's name;
-    `rgbd` also gets the depth sensor's maps. On a dataset errors are measured on its own models,
-    and where it lists targets (test_targets_bop19.json) pairs count for these.
-
-    --score measures poses of others instead: of each target in the dataset's list of targets, with
-    the dataset's own models; what is missing is wrong. Options of an estimator then mean nothing.
-    """
-
-    method: str = "mid"
-    """`single`, `early`, `late`, `mid` or `rgbd`."""
-    weights: str = "linemod"
-    """Name of shipped weights, or a .safetensors file."""
-    preset: Literal["fast", "paper"] | None = None
-    """Preset of the volumes that the weights must have been trained for: `fast` or `paper`."""
-    solver: Literal["soft", "kabsch", "hard"] = "soft"
-    """From 3D keypoints to the pose: `soft` (Soft RANSAC), `kabsch` or `hard` (RANSAC)."""
-    roi: Literal["detector", "truth", "noisy"] = "detector"
-    """Where the estimator looks first. The others are for analyses that leave the detector out:
-    `truth` tells it the true region of the object, `noisy` that of the true centre plus noise of
-    4 cm in depth and 1.2 cm sideways (standard deviations, drawn anew for each picture)."""
-    scene: Literal["linemod", "occlusion"] = "linemod"
-    """Kind of our scenes."""
-    scenes: int = 520
-    """How many scenes; each of the objects is the target equally often."""
-    objects: tuple[str, ...] = ()
-    """Objects of our scenes, by name or path of a mesh; none = all that the weights know."""
-    seed: int = 1000
-    """Of the scenes. Training data has other seeds."""
-    data: Path | None = None
-    """A BOP dataset instead of our scenes: a folder, or a name below $BOP_PATH."""
-    split: str = "test"
-    """Folder of its scenes."""
-    pairs: Path | None = None
-    """File with pairs of views; none = two_view_pairs.json of the dataset, or where it has none,
-    pairs found from its poses: 10 to 60 degrees apart, four for each reference view."""
-    both_ways: bool = False
-    """Take each pair a second time with its views exchanged."""
-    csv: Path | None = None
-    """Write the poses in the reference views as a BOP result file, METHOD_DATASET-SPLIT.csv by
-    custom. Where a reference view is in several pairs, the pose that is surest of its keypoints."""
-    score: Path | None = None
-    """Run no estimator: score this BOP result file, anyone's, on --data."""
-    keep: Path | None = None
-    """Keep the rendered scenes in this folder; if they are there already, use them."""
-    threads: int = 0
-    """Threads of the networks; 0 = as many as there are cores."""
-    json: Path | None = None
-    """Write the figures as a results file."""
-
-
 def target_pairs(
     pairs: Sequence[BopPair],
     objects: Mapping[str, ObjectModel],
     targets: Container[tuple[int, int, int]] | None = None,
+    baselines: tuple[float, float] = (0.0, 180.0),
 ) -> Iterator[tuple[BopPair, str]]:
     """Every pair with an object to estimate: its target where it names one, else all it shows.
 
@@ -103,6 +49,7 @@ def target_pairs(
         pairs: of a dataset.
         objects: those that can be estimated.
         targets: (scene_id, im_id, obj_id) of what counts where a pair names no target; None: all.
+        baselines: smallest and largest angle in degrees between the views, seen from the object.
     """
     names = {model.obj_id: name for name, model in objects.items()}
     for pair in pairs:
@@ -110,8 +57,15 @@ def target_pairs(
         for obj_id in wanted:
             key = (pair.scene_id, pair.ref_image_id, obj_id)
             counts = pair.target_obj_id is not None or targets is None or key in targets
+            if not baselines[0] <= baseline_at(pair, obj_id) <= baselines[1]:
+                continue
             if obj_id in names and counts:
                 yield pair, names[obj_id]
+
+
+def baseline_at(pair: BopPair, obj_id: int) -> float:
+    """The angle in degrees at one object; that of the pair where it does not say."""
+    return float(pair.baselines_deg.get(obj_id, pair.baseline_deg))
 
 
 def evaluate_pairs(
@@ -125,6 +79,7 @@ def evaluate_pairs(
     told: ToldRegions | None = None,
     surfaces: Mapping[str, MeasuredObject] | None = None,
     targets: Container[tuple[int, int, int]] | None = None,
+    baselines: tuple[float, float] = (0.0, 180.0),
     progress: bool = True,
 ) -> list[Outcome]:
     """Runs an estimator on pairs of views.
@@ -139,7 +94,7 @@ def evaluate_pairs(
         told: for analyses only: regions of interest that the estimator is told. None leaves it to
             find the object.
         surfaces: what errors are measured on, by the objects' names; None: ``objects``.
-        targets: see :func:`target_pairs`.
+        targets, baselines: see :func:`target_pairs`.
         progress: whether to show a bar.
 
     Returns:
@@ -150,7 +105,7 @@ def evaluate_pairs(
     """
     from tqdm import tqdm
 
-    work = list(target_pairs(pairs, objects, targets))
+    work = list(target_pairs(pairs, objects, targets, baselines))
     scene_id, scene = -1, {}
     outcomes = []
     bar = tqdm(work, desc="evaluating", unit="pair", disable=not progress)
@@ -190,7 +145,7 @@ def evaluate_pairs(
                 error=float(error),
                 keypoint_distance=distance_of_keypoints(estimate.keypoints, truth.T_cam_obj, model),
                 seconds=seconds,
-                baseline=float(pair.baselines_deg.get(model.obj_id, pair.baseline_deg)),
+                baseline=baseline_at(pair, model.obj_id),
                 visibility=truth.visibility,
                 score=score,
                 gap=pair.gap,
@@ -237,6 +192,7 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
         told=_told_regions(config, networks),
         surfaces=_surfaces(config, dataset, networks.objects),
         targets=_targets(dataset),
+        baselines=config.baselines,
     )
     if not outcomes:
         raise ValueError(
@@ -299,4 +255,6 @@ def _command(config: EvaluateConfig) -> str:
     for name in ("preset", "solver", "roi"):
         if getattr(config, name) != getattr(EvaluateConfig, name):
             options += f" --{name} {getattr(config, name)}"
+    if config.baselines != EvaluateConfig.baselines:
+        options += " --baselines {:g} {:g}".format(*config.baselines)
     return options + " --both-ways" * config.both_ways

@@ -12,7 +12,7 @@ from .bop import BopAnnotation, read_dataset
 from .bop_objects import EvaluationObject, dataset_objects
 from .bop_results import BopResult, read_bop_results
 from .bop_targets import BopTarget, read_targets
-from .evaluate import EvaluateConfig
+from .evaluate_config import EvaluateConfig
 from .metrics import add_or_add_s
 from .outcomes import Outcome, print_table, summarise
 from .results import write_results

@@ -20,7 +20,7 @@ from two_view_pose.envs.study_data import (
     ensure_test_set,
 )
 from two_view_pose.pose_estimator import bop
-from two_view_pose.pose_estimator.evaluate import EvaluateConfig
+from two_view_pose.pose_estimator.evaluate_config import EvaluateConfig
 
 SETS = {"training": TRAINING_SET, **TEST_SETS}
 

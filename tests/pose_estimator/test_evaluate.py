@@ -17,12 +17,12 @@ from two_view_pose.pose_estimator.bop_results import read_bop_results
 from two_view_pose.pose_estimator.bop_writer import write_pairs
 from two_view_pose.pose_estimator.estimate import PoseEstimate
 from two_view_pose.pose_estimator.evaluate import (
-    EvaluateConfig,
     distance_of_keypoints,
     evaluate_dataset,
     evaluate_pairs,
     target_pairs,
 )
+from two_view_pose.pose_estimator.evaluate_config import EvaluateConfig
 from two_view_pose.pose_estimator.features import FeatureConfig
 from two_view_pose.pose_estimator.geometry import (
     LINEMOD_K,
@@ -281,6 +281,10 @@ def test_only_listed_targets_count_where_a_pair_names_none(boxes):
     assert len(list(target_pairs([pair], boxes))) == 2
     assert [name for _, name in target_pairs([pair], boxes, listed)] == [second.name]
     assert [name for _, name in target_pairs([named], boxes, listed)] == [first.name]
+    near = [name for _, name in target_pairs([pair], boxes, baselines=(10.0, 25.0))]
+    assert near == [first.name]
+    with pytest.raises(ValueError, match=r"baselines must rise within 0 to 180, got \(60"):
+        EvaluateConfig(baselines=(60.0, 10.0))
 
 
 def test_errors_are_measured_on_the_surfaces_that_are_given(opened, dataset, boxes):
