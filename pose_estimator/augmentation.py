@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from .cut_and_paste import blend
+
 
 @dataclass(frozen=True)
 class AugmentationConfig:
@@ -155,12 +157,7 @@ def blemish(
         spot = cv2.GaussianBlur(spot, (0, 0), rng.uniform(0.5, 3.0))
         alpha = (np.minimum(spot, mask) * rng.uniform(0.3, 1.0)).astype(np.uint8)
         tint = np.clip(rng.uniform(0, 255) * rng.uniform(0.85, 1.15, 3), 0, 255)
-        weight = cv2.merge([alpha] * 3)
-        paint = np.full_like(picture, tint.astype(np.uint8))
-        picture = cv2.add(
-            cv2.multiply(paint, weight, scale=1 / 255),
-            cv2.multiply(picture, 255 - weight, scale=1 / 255),
-        )
+        picture = blend(picture, np.full_like(picture, tint.astype(np.uint8)), alpha)
     return picture
 
 
