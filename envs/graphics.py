@@ -25,6 +25,9 @@ SHADOW_MAP_SIZE = 512
 LARGEST_SIDE = 4096
 _MAX_GEOMS = 200
 
+TILE = (480, 640)
+"""Height and width in pixels of the parts in which larger silhouettes are drawn."""
+
 
 class Graphics:
     """The GL context of one scene: made at the first picture, in the process that draws it.
@@ -122,7 +125,22 @@ class Graphics:
     def silhouette(
         self, geom: int, T_cam_world: np.ndarray, K: np.ndarray, height: int, width: int
     ) -> np.ndarray:
-        """Where ``geom`` would be seen with nothing before it, (H, W) bool."""
+        """Where ``geom`` would be seen with nothing before it, (H, W) bool.
+
+        What is larger than ``TILE`` is drawn in parts: windows reach far beyond the picture now and
+        then, and the buffer, which never shrinks, would grow with the largest of them.
+        """
+        whole = np.zeros((height, width), dtype=bool)
+        for top in range(0, height, TILE[0]):
+            for left in range(0, width, TILE[1]):
+                part = whole[top : top + TILE[0], left : left + TILE[1]]
+                part_K = K - [[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]]
+                part[:] = self._silhouette(geom, T_cam_world, part_K, *part.shape)
+        return whole
+
+    def _silhouette(
+        self, geom: int, T_cam_world: np.ndarray, K: np.ndarray, height: int, width: int
+    ) -> np.ndarray:
         group = self._world.model.geom_group
         before = int(group[geom])
         group[geom] = PROBED

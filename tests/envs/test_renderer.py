@@ -320,3 +320,30 @@ def test_a_named_back_end_that_is_missing_is_named_in_the_error() -> None:
     )
     assert "GraphicsUnavailable" in run.stderr
     assert "apt-get install -y libosmesa6" in run.stderr
+
+
+def test_large_silhouettes_are_whole_and_do_not_enlarge_the_buffer(scene: Scene) -> None:
+    """A window of three by two and a half buffers is what its parts are, one by one."""
+    stand(scene, brick=(0.0, 0.0, 0.4))
+    T_cam_world = look_at(np.array([0.12, 0.1, 0.14]), np.zeros(3))
+    K = LINEMOD_K * [[2.0, 1, 1], [1, 2.0, 1], [1, 1, 1]] + [
+        [0, 0, 600.0],
+        [0, 0, 400.0],
+        [0, 0, 0],
+    ]
+    geom = scene.world.object_geoms[scene.world.object_names.index("brick")]
+    scene.close()  # another test may have enlarged it
+    whole = scene.graphics.silhouette(geom, T_cam_world, K, 1200, 1800)
+    assert scene.graphics._context is not None and scene.state is not None
+    assert scene.graphics._context.offWidth == 640 and scene.graphics._context.offHeight == 480
+    rows, columns = np.nonzero(whole)
+    assert np.ptp(rows) > 480 and np.ptp(columns) > 640  # it lies in several parts
+    for top, left in ((300, 500), (470, 630), (700, 1000)):
+        shifted = K - [[0, 0, left], [0, 0, top], [0, 0, 0]]
+        part = scene.graphics.silhouette(geom, T_cam_world, shifted, 200, 300)
+        assert (part != whole[top : top + 200, left : left + 300]).mean() < 1e-4
+    points = scene.state.T_world_obj["brick"][:3, :3] @ scene.objects["brick"].vertices.T
+    outline = cv_project(points.T + scene.state.T_world_obj["brick"][:3, 3], T_cam_world, K)
+    hull = cv2.convexHull(outline.astype(np.float32)).round().astype(np.int32)
+    drawn = cv2.fillPoly(np.zeros(whole.shape, np.uint8), [hull], 1) > 0
+    assert (drawn & whole).sum() / (drawn | whole).sum() > 0.99
