@@ -137,10 +137,9 @@ class SceneMaker:
 
 
 def give_back_memory() -> None:
-    """Returns freed memory to the system.
+    """Returns freed memory to the system, so that what a worker holds is what it needs.
 
-    Pictures of all sizes come and go, and glibc's heap grew by some megabytes in a thousand of them
-    for all that nothing was held. Elsewhere than on glibc this does nothing.
+    Elsewhere than on glibc this does nothing.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
     if trim is not None:

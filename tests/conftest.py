@@ -1,6 +1,7 @@
-"""What every test run says first."""
+"""What every test run says first, and what several files ask for."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import two_view_pose
@@ -11,6 +12,24 @@ def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
     """Imported meshes are kept for this run alone, whatever earlier versions left at home."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def tiny_training() -> Iterator[None]:
+    """Batches of two, no measuring while training, and no processes, which take long to start."""
+    from two_view_pose.pose_estimator import crops, training_config
+    from two_view_pose.pose_estimator.stages import CropStage, DetectorStage
+    from two_view_pose.pose_estimator.volume_stage import VolumeStage
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            crops, "ProcessPoolExecutor", lambda workers, mp_context: ThreadPoolExecutor(workers)
+        )
+        for name, (_, learning_rate) in training_config._STAGES.items():
+            patch.setitem(training_config._STAGES, name, (2, learning_rate))
+        for stage in (DetectorStage, CropStage, VolumeStage):
+            patch.setattr(stage, "validate", lambda self: {"figure": 0.5})
         yield
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import gymnasium as gym
@@ -14,7 +12,6 @@ import trimesh
 from PIL import Image
 from two_view_pose import pose_estimator
 from two_view_pose.__main__ import main
-from two_view_pose.pose_estimator import crops, training_config
 from two_view_pose.pose_estimator.bop import read_dataset
 from two_view_pose.pose_estimator.bop_models_info import read_models_info
 from two_view_pose.pose_estimator.bop_pairs import read_pairs
@@ -33,18 +30,7 @@ def run(command: str) -> int:
     return main(command.split())
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _tiny() -> Iterator[None]:
-    """Batches of two, no measuring while training, and no processes, which take long to start."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            crops, "ProcessPoolExecutor", lambda workers, mp_context: ThreadPoolExecutor(workers)
-        )
-        for name, (_, learning_rate) in training_config._STAGES.items():
-            patch.setitem(training_config._STAGES, name, (2, learning_rate))
-        for stage in (DetectorStage, CropStage, VolumeStage):
-            patch.setattr(stage, "validate", lambda self: {"figure": 0.5})
-        yield
+pytestmark = pytest.mark.usefixtures("tiny_training")
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,6 @@ models with colours per vertex and without names, and numbers that are not ours.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,32 +14,18 @@ from scipy.spatial.transform import Rotation
 from solid_scenes import COLOURS, SHAPE, SOLIDS, K, camera, frame, solid
 from two_view_pose.__main__ import main
 from two_view_pose.assets import OBJECT_NAMES, load_object
-from two_view_pose.pose_estimator import crops, training_config
 from two_view_pose.pose_estimator.bop_models import write_models
 from two_view_pose.pose_estimator.bop_writer import BopFrame, write_camera, write_json, write_scene
 from two_view_pose.pose_estimator.geometry import make_transform
 from two_view_pose.pose_estimator.results import read_results
-from two_view_pose.pose_estimator.stages import CropStage, DetectorStage
 from two_view_pose.pose_estimator.training_objects import own_models
-from two_view_pose.pose_estimator.volume_stage import VolumeStage
 from two_view_pose.pose_estimator.weights import read_header
 
 NUMBERS = {"bracket": 2, "stairs": 19}
 """What the dataset calls two of the solids; 2 is also our benchvise."""
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _tiny() -> Iterator[None]:
-    """Batches of two, no measuring while training, and no processes, which take long to start."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            crops, "ProcessPoolExecutor", lambda workers, mp_context: ThreadPoolExecutor(workers)
-        )
-        for name, (_, learning_rate) in training_config._STAGES.items():
-            patch.setitem(training_config._STAGES, name, (2, learning_rate))
-        for stage in (DetectorStage, CropStage, VolumeStage):
-            patch.setattr(stage, "validate", lambda self: {"figure": 0.5})
-        yield
+pytestmark = pytest.mark.usefixtures("tiny_training")
 
 
 def picture(rng: np.random.Generator, azimuth: float, turn: float) -> BopFrame:
