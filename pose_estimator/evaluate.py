@@ -134,7 +134,7 @@ def evaluate_pairs(
         start = time.perf_counter()
         estimate = estimator.estimate(given, name, *rois)
         seconds = time.perf_counter() - start
-        surface = (surfaces or objects)[name]
+        surface = (surfaces or objects).get(name, model)
         error = add_or_add_s(estimate.T_cam_obj, truth.T_cam_obj, surface) / surface.diameter
         score = estimate.rois[0].score if estimate.rois else 1.0
         row = (pair.scene_id, pair.ref_image_id, model.obj_id, score, estimate.T_cam_obj, seconds)
