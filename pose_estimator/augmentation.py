@@ -31,7 +31,8 @@ class AugmentationConfig:
         motion: probability of a blur along a line.
         sharpen: probability of sharpening, as webcams do it.
         coarse: probability that the picture is of fewer pixels and enlarged.
-        blemish: probability that the target itself has spots: highlights, dirt, holes that a scan
+        blemish: probability that the target itself has spots: highlights, dirt.
+        side: probability that one side of the target has another colour: an opening that a scan
             closed.
     """
 
@@ -52,14 +53,15 @@ class AugmentationConfig:
     sharpen: float = 0.0
     coarse: float = 0.0
     blemish: float = 0.0
+    side: float = 0.0
 
     @classmethod
     def strong(cls) -> AugmentationConfig:
         """What lies between renders and photographs: any light, webcams, boxes drawn carelessly."""
         return cls(
-            shift=0.06,
+            shift=0.09,
             scale=0.1,
-            turn=0.35,
+            turn=0.5,
             frame_turn=0.3,
             frame_scale=0.3,
             brightness=0.22,
@@ -73,7 +75,8 @@ class AugmentationConfig:
             motion=0.15,
             sharpen=0.3,
             coarse=0.2,
-            blemish=0.5,
+            blemish=0.4,
+            side=0.2,
         )
 
 
@@ -93,7 +96,7 @@ def jitter_affine(
     """
     scale = zoom * np.exp(np.clip(rng.normal(0, config.scale), -0.25, 0.25))
     angle = rng.uniform(-config.turn, config.turn)
-    shift = np.clip(rng.normal(0, config.shift, 2), -0.15, 0.15) * side
+    shift = np.clip(rng.normal(0, 1, 2), -3, 3) * config.shift * side
     cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
     return np.array([[cosine, -sine, shift[0]], [sine, cosine, shift[1]], [0, 0, 1.0]])
 
@@ -131,7 +134,7 @@ def blemish(
 ) -> np.ndarray:
     """Sometimes paints soft spots of any brightness on the target, which stays as visible as it is.
 
-    A scanned model differs from its object: LineMOD's can is open, its model is not.
+    A scanned model differs from its object.
 
     Args:
         config: how often.
@@ -155,10 +158,52 @@ def blemish(
         centre = (float(columns[place]), float(rows[place]))
         cv2.ellipse(spot, (centre, axes, float(rng.uniform(0, 180))), 255, -1)
         spot = cv2.GaussianBlur(spot, (0, 0), rng.uniform(0.5, 3.0))
-        alpha = (np.minimum(spot, mask) * rng.uniform(0.3, 1.0)).astype(np.uint8)
-        tint = np.clip(rng.uniform(0, 255) * rng.uniform(0.85, 1.15, 3), 0, 255)
-        picture = blend(picture, np.full_like(picture, tint.astype(np.uint8)), alpha)
+        picture = _tint(picture, np.minimum(spot, mask), rng)
     return picture
+
+
+def repaint_side(
+    config: AugmentationConfig,
+    rng: np.random.Generator,
+    picture: np.ndarray,
+    mask: np.ndarray,
+    points: np.ndarray,
+    pixels: np.ndarray,
+    view: np.ndarray,
+) -> np.ndarray:
+    """Sometimes gives one side of the target, the top or another that is seen, another colour.
+
+    LineMOD's can is open and dark there; its scan is closed and looks as it does elsewhere.
+
+    Args:
+        config: how often.
+        rng: source of randomness.
+        picture: RGB uint8 (H, W, 3).
+        mask: of the visible target, uint8 (H, W), 0 to 255.
+        points: (P, 3) of its surface, in its frame.
+        pixels: (P, 2) where they are in the picture.
+        view: (3,) from the target towards the camera, in its frame.
+
+    Returns:
+        A new picture, or the same where nothing happens.
+    """
+    if not len(points) or not _happens(config.side, rng):
+        return picture
+    outwards = np.eye(3)[rng.integers(3)] if rng.random() < 0.7 else rng.normal(size=3)
+    heights = points @ (outwards * (1.0 if outwards @ view > 0 else -1.0))
+    reach = rng.uniform(0.03, 0.35) * np.ptp(heights)
+    outline = cv2.convexHull(pixels[heights >= heights.max() - reach].astype(np.float32))
+    spot = np.zeros(mask.shape, np.uint8)
+    cv2.fillConvexPoly(spot, np.rint(outline).astype(np.int32), 255)
+    spot = cv2.GaussianBlur(spot, (0, 0), rng.uniform(0.5, 2.0))
+    return _tint(picture, np.minimum(spot, mask), rng)
+
+
+def _tint(picture: np.ndarray, spot: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Covers a spot (H, W), 0 to 255, with some colour, more or less."""
+    alpha = (spot * rng.uniform(0.3, 1.0)).astype(np.uint8)
+    tint = np.clip(rng.uniform(0, 255) * rng.uniform(0.85, 1.15, 3), 0, 255)
+    return blend(picture, np.full_like(picture, tint.astype(np.uint8)), alpha)
 
 
 def augment_colours(

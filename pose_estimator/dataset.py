@@ -13,7 +13,14 @@ import torch
 from torch import Tensor
 
 from ..assets.object_model import ObjectModel
-from .augmentation import AugmentationConfig, augment_colours, blemish, erase_box, jitter_affine
+from .augmentation import (
+    AugmentationConfig,
+    augment_colours,
+    blemish,
+    erase_box,
+    jitter_affine,
+    repaint_side,
+)
 from .crops import STORED_SCALE, STORED_SIDE, CropPack
 from .cut_and_paste import CropPaster, CutAndPasteConfig
 from .detector import DetectorConfig, detection_targets
@@ -22,6 +29,9 @@ from .geometry import invert, project
 from .symmetry import canonical_pose
 
 _Sample = TypeVar("_Sample")
+
+_OUTLINE_POINTS = 400
+"""Points of a surface that are enough for the outline of one of its sides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,16 +175,20 @@ class TrainingSet:
         if depth is not None:
             depth = cv2.warpAffine(depth, affine[:2], (size, size), flags=cv2.INTER_NEAREST)
         index = int(pack.object_index[target])
+        model = self.models[index]
+        K = affine @ pack.to_stored[target] @ pack.K[pack.frame_index[target]]
+        T = canonical_pose(pack.T_cam_obj[target], model.symmetries)
         if self._paster is not None:
             crop, mask, depth = self._paster.paste(crop, mask, depth, index, rng)
         if self.augmentation is not None:
             crop = blemish(self.augmentation, rng, crop, mask)
+            points = model.points[:: len(model.points) // _OUTLINE_POINTS + 1]
+            pixels = project(points @ T[:3, :3].T + T[:3, 3], K)
+            view = -T[:3, :3].T @ T[:3, 3]
+            crop = repaint_side(self.augmentation, rng, crop, mask, points, pixels, view)
             erase_box(self.augmentation, rng, crop, mask, depth)
             crop = augment_colours(crop, self.augmentation, rng)
         mask = cv2.resize(mask, (config.grid, config.grid), interpolation=cv2.INTER_AREA)
-        model = self.models[index]
-        K = affine @ pack.to_stored[target] @ pack.K[pack.frame_index[target]]
-        T = canonical_pose(pack.T_cam_obj[target], model.symmetries)
         pixels = project(model.keypoints @ T[:3, :3].T + T[:3, 3], K)
         return TargetSample(
             crop=crop,

@@ -195,14 +195,22 @@ class FeatureStage(CropStage):
 
 
 class DecoderStage(CropStage):
-    """A decoder for each object, each on its own crops; the encoder stays as it is."""
+    """A decoder for each object, each on its own crops.
+
+    Args:
+        args: of :class:`StageBase`.
+        tune_encoder: whether what the decoders share goes on learning; else it stays as it is.
+        kwargs: of :class:`StageBase`.
+    """
 
     name = "decoders"
 
-    def __init__(self, *args: Any, **kwargs: Any):
+    def __init__(self, *args: Any, tune_encoder: bool = False, **kwargs: Any):
         super().__init__(*args, **kwargs)
         features = self.networks.features
         features.split_decoders()
+        if tune_encoder:
+            return
         for part in (features.encoder, features.embedding, features.film16, features.film4):
             part.requires_grad_(False)
 

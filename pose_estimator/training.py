@@ -225,6 +225,8 @@ def train_stage(
     if name == "volume":
         degrees, millimetres = config.pose_noise
         extra = {"pose_noise": (degrees, millimetres / 1000), "pose_weight": config.pose_loss}
+    elif name == "decoders":
+        extra = {"tune_encoder": config.tune_encoder}
     stage = _stage_class(name)(
         networks, train, held_out, steps=settings.steps, batch=settings.batch,
         learning_rate=settings.learning_rate, seed=config.seed, **extra,
@@ -282,6 +284,7 @@ def header(
             "seed": config.seed,
             "cut_and_paste": config.cut_and_paste,
             "augmentation": config.augmentation,
+            "tune_encoder": config.tune_encoder,
             "encoder": "EfficientNet-Lite0, ImageNet (Apache-2.0)" if config.pretrained else "none",
         },
         "held_out": dict(held_out),

@@ -90,6 +90,10 @@ class TrainEstimatorConfig:
     frozen_stages: int = 2
     """How many stages of the pretrained encoders stay as they are: fewer learn more, more are
     quicker. It may change when a run is resumed."""
+    tune_encoder: bool = False
+    """Let the encoder go on learning in the stage decoders: that takes twice as long for each
+    batch, and where pictures are hard for the encoder, as with `--augmentation strong`, it ends at
+    smaller errors."""
     learning_rate: float = 1.0
     """Multiplies every stage's learning rate."""
     preset: str = "fast"

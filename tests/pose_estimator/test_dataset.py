@@ -6,7 +6,12 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from two_view_pose.pose_estimator.augmentation import AugmentationConfig, augment_colours, blemish
+from two_view_pose.pose_estimator.augmentation import (
+    AugmentationConfig,
+    augment_colours,
+    blemish,
+    repaint_side,
+)
 from two_view_pose.pose_estimator.crops import CropPack
 from two_view_pose.pose_estimator.dataset import (
     SamplingConfig,
@@ -226,6 +231,34 @@ def test_blemishes_stay_on_the_target_and_leave_it_visible():
     assert changed > 12 and np.array_equal(picture, before)
     for config, seen in ((PLAIN, mask), (replace(PLAIN, blemish=1.0), np.zeros_like(mask))):
         assert blemish(config, np.random.default_rng(0), picture, seen) is picture
+
+
+def test_a_repainted_side_is_one_that_is_seen():
+    picture = np.full((64, 64, 3), 120, np.uint8)
+    mask = np.zeros((64, 64), np.uint8)
+    mask[10:55, 12:52] = 255
+    before, sides, turned_away = picture.copy(), set(), 0
+    corners = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), -1).reshape(-1, 3) * 1.0
+    pixels = 32 + 20 * (corners[:, :2] + 0.2 * corners[:, 2:])  # seen along z, a little from below
+    towards = np.array([-0.3, -0.4, -1.0])
+    config = replace(PLAIN, side=1.0)
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        painted = repaint_side(config, rng, picture, mask, corners, pixels, towards)
+        changed = np.abs(painted.astype(int) - 120).max(-1) > 10
+        assert not changed[mask == 0].any()
+        if changed.any():
+            rows, columns = np.nonzero(changed)
+            sides.add((columns.mean() < 25, rows.mean() < 25))
+            turned_away += columns.mean() > 38 or rows.mean() > 38  # its edge may still be seen
+    assert turned_away < 5
+    assert {(True, False), (False, True), (False, False)} <= sides and np.array_equal(
+        picture, before
+    )
+    rng = np.random.default_rng(0)
+    none = np.zeros((0, 3))
+    assert repaint_side(PLAIN, rng, picture, mask, corners, pixels, towards) is picture
+    assert repaint_side(config, rng, picture, mask, none, none[:, :2], towards) is picture
 
 
 def test_an_erased_box_is_taken_from_the_mask(pack, boxes):

@@ -73,6 +73,20 @@ def test_a_batch_trains_the_decoder_of_its_object_alone(stage):
     assert not features.head_weight.grad[1 - number].any()
 
 
+def test_the_encoder_learns_with_the_decoders_where_it_is_asked_to(stage):
+    networks = PoseNetworks(dict(zip(("brick", "crate"), stage.train.models, strict=True)))
+    networks.features.encoder.freeze(2)
+    tuned = DecoderStage(
+        networks, stage.train, stage.train, steps=1, batch=3, learning_rate=1.0, seed=0,
+        tune_encoder=True,
+    )  # fmt: skip
+    loss, _ = tuned.loss(next(tuned.batches(0)))
+    loss.backward()
+    encoder = networks.features.encoder
+    assert encoder.stages[5][0].expand.weight.grad.abs().sum() > 0
+    assert encoder.stages[0][0].project.weight.grad is None  # frozen stages stay so
+
+
 def test_batches_are_the_same_after_a_resume(stage):
     source, later = stage.batches(0), stage.batches(2)
     first = [next(source) for _ in range(3)][2]
