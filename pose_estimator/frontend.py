@@ -15,7 +15,7 @@ from .detector import decode, decode_peaks, detector_input
 from .estimate import Roi
 from .features import Features2D
 from .geometry import View, crop_matrix, grid_matrix, turn_matrix
-from .joint_detection import choose_together
+from .joint_detection import choose_together, sizes_together
 from .networks import PoseNetworks, has_fast_bfloat16
 from .voting import vote_keypoints
 
@@ -29,6 +29,9 @@ _SURE = 0.85
 
 _SURER = 0.03
 """How much surer a turned crop must be to be taken instead."""
+
+_SAME_SIZE = 0.08
+"""Logarithm of the ratio of two regions' sides up to which another crop is not worth its time."""
 
 _MERGE_FLOOR = 0.3
 """Variance in grid pixels that several crops' votes are given at least when they are averaged."""
@@ -145,7 +148,7 @@ class Frontend:
             index: which object, in the networks' order.
 
         Returns:
-            A region for each view; None where it is the one that :meth:`detect` finds alone.
+            A region for each view; None where it is about the one that :meth:`detect` finds alone.
         """
         config = self.networks.detector.config
         model = list(self.networks.objects.values())[index]
@@ -157,9 +160,11 @@ class Frontend:
             )
         scale = self.networks.features.config.roi_scale
         chosen = choose_together(candidates, views, model.diameter, scale)
+        found = [regions[number] for regions, number in zip(candidates, chosen, strict=True)]
+        sized = sizes_together(found, views, model.diameter, scale)
         return [
-            regions[number] if number > 0 else None
-            for regions, number in zip(candidates, chosen, strict=True)
+            None if number == 0 and abs(np.log(new.side / old.side)) < _SAME_SIZE else new
+            for number, old, new in zip(chosen, found, sized, strict=True)
         ]
 
     @torch.inference_mode()

@@ -66,6 +66,8 @@ class LoopConfig:
         weight_decay: AdamW's.
         warm_up: steps until the full learning rate.
         resume: continue from the last checkpoint of the stage, if there is one.
+        cycles: how often the learning rate falls. The result is the mean of the weights at the end
+            of each fall (Izmailov et al., "Averaging weights leads to wider optima", UAI 2018).
     """
 
     out: Path
@@ -74,6 +76,7 @@ class LoopConfig:
     weight_decay: float = 1e-4
     warm_up: int = 200
     resume: bool = True
+    cycles: int = 1
 
 
 def learning_rate(step: int, steps: int, maximum: float, warm_up: int) -> float:
@@ -92,9 +95,12 @@ def run_stage(stage: Stage, config: LoopConfig, log: Callable[[str, int, dict], 
     """
     optimizer = HybridOptimizer(stage.module, stage.learning_rate, config.weight_decay)
     checkpoint = config.out / f"{stage.name}.safetensors"
-    step = _resume(stage, optimizer, checkpoint) if config.resume else 0
+    mean = _MeanWeights()
+    step = _resume(stage, optimizer, mean, checkpoint) if config.resume else 0
     if step >= stage.steps:
         return
+    cycle = math.ceil(stage.steps / config.cycles)
+    warm_up = min(config.warm_up, cycle // 5 + 1)
     saved = time.monotonic()
     means: dict[str, float] = {}
     source = stage.batches(step)
@@ -111,9 +117,15 @@ def run_stage(stage: Stage, config: LoopConfig, log: Callable[[str, int, dict], 
                     f"{stage.name}: the loss is {float(loss.detach())} at step {step}; "
                     "resume with a lower --learning-rate"
                 )
-            warm_up = min(config.warm_up, stage.steps // 5 + 1)
-            optimizer.step(learning_rate(step, stage.steps, stage.learning_rate, warm_up))
+            begun = step - step % cycle
+            length = min(cycle, stage.steps - begun)
+            optimizer.step(learning_rate(step - begun, length, stage.learning_rate, warm_up))
             step += 1
+            cycle_ends = config.cycles > 1 and step in (begun + cycle, stage.steps)
+            if cycle_ends:
+                mean.add(stage.module)
+            if cycle_ends and step == stage.steps:
+                stage.module.load_state_dict(mean.weights)
             for name, part in parts.items():
                 value = float(part.detach())
                 means[name] = 0.98 * means.get(name, value) + 0.02 * value
@@ -127,10 +139,33 @@ def run_stage(stage: Stage, config: LoopConfig, log: Callable[[str, int, dict], 
                 log(stage.name, step, {f"held_out/{name}": v for name, v in numbers.items()})
                 text = "  ".join(f"{name} {value:.4f}" for name, value in numbers.items())
                 tqdm.write(f"{stage.name} step {step}: {text}")
-            if time.monotonic() - saved > config.checkpoint_every or step == stage.steps:
-                _save(stage, optimizer, checkpoint, step)
+            due = time.monotonic() - saved > config.checkpoint_every
+            if due or cycle_ends or step == stage.steps:
+                _save(stage, optimizer, mean, checkpoint, step)
                 saved = time.monotonic()
     getattr(source, "close", lambda: None)()
+
+
+class _MeanWeights:
+    """The mean of weights at several moments, and of how many.
+
+    Attributes:
+        weights: by name; empty before the first.
+        count: how many they are the mean of.
+    """
+
+    def __init__(self) -> None:
+        self.weights: dict[str, Tensor] = {}
+        self.count = 0
+
+    def add(self, module: nn.Module) -> None:
+        """Takes the weights of now into the mean; whole numbers are the newest."""
+        self.count += 1
+        for name, tensor in module.state_dict().items():
+            if self.count > 1 and tensor.is_floating_point():
+                self.weights[name] += (tensor - self.weights[name]) / self.count
+            else:
+                self.weights[name] = tensor.clone()
 
 
 def keep_freed_memory() -> None:
@@ -146,17 +181,24 @@ def keep_freed_memory() -> None:
         mallopt(_M_TOP_PAD, 2**28)
 
 
-def _save(stage: Stage, optimizer: HybridOptimizer, path: Path, step: int) -> None:
+def _save(
+    stage: Stage, optimizer: HybridOptimizer, mean: _MeanWeights, path: Path, step: int
+) -> None:
     tensors = {f"model.{n}": t.contiguous() for n, t in stage.module.state_dict().items()}
+    tensors |= {f"mean.{n}": t.contiguous() for n, t in mean.weights.items()}
     tensors |= optimizer.state()
-    write_atomically(path, save(tensors, {"step": str(step), "steps": str(stage.steps)}))
+    numbers = {"step": step, "steps": stage.steps, "averaged": mean.count}
+    write_atomically(path, save(tensors, {name: str(n) for name, n in numbers.items()}))
 
 
-def _resume(stage: Stage, optimizer: HybridOptimizer, path: Path) -> int:
+def _resume(stage: Stage, optimizer: HybridOptimizer, mean: _MeanWeights, path: Path) -> int:
     """Restores a checkpoint and returns its step; 0 if there is none."""
     if not path.is_file():
         return 0
-    optimizer.load_state(restore_model(stage.module, path))
+    tensors = restore_model(stage.module, path)
+    optimizer.load_state(tensors)
+    mean.weights = {n.removeprefix("mean."): t for n, t in tensors.items() if n[:5] == "mean."}
+    mean.count = _read_number(path, "averaged")
     return read_step(path)
 
 
@@ -179,6 +221,11 @@ def restore_model(module: nn.Module, path: Path) -> dict[str, Tensor]:
 
 def read_step(path: Path) -> int:
     """The step of a checkpoint."""
+    return _read_number(path, "step")
+
+
+def _read_number(path: Path, name: str) -> int:
+    """A number of a checkpoint's header; 0 if it is not there."""
     with open(path, "rb") as file:
         length = int.from_bytes(file.read(8), "little")
-        return int(json.loads(file.read(length))["__metadata__"]["step"])
+        return int(json.loads(file.read(length))["__metadata__"].get(name, 0))

@@ -233,7 +233,10 @@ def train_stage(
     )  # fmt: skip
     if asked:
         loop = LoopConfig(
-            out=config.out, checkpoint_every=config.checkpoint_every, resume=config.resume
+            out=config.out,
+            checkpoint_every=config.checkpoint_every,
+            resume=config.resume,
+            cycles=config.cycles,
         )
         run_stage(stage, loop, log)  # type: ignore[arg-type]
     else:
@@ -285,6 +288,7 @@ def header(
             "cut_and_paste": config.cut_and_paste,
             "augmentation": config.augmentation,
             "tune_encoder": config.tune_encoder,
+            "cycles": config.cycles,
             "encoder": "EfficientNet-Lite0, ImageNet (Apache-2.0)" if config.pretrained else "none",
         },
         "held_out": dict(held_out),

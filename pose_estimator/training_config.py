@@ -96,6 +96,10 @@ class TrainEstimatorConfig:
     smaller errors."""
     learning_rate: float = 1.0
     """Multiplies every stage's learning rate."""
+    cycles: int = 1
+    """How often each stage's learning rate falls; the weights at the ends of the falls are
+    averaged. Two halves instead of one whole help where the test is unlike the training, as
+    photographs are unlike renders."""
     preset: str = "fast"
     """Volumes of the Mid-Fusion: `fast` or `paper`, which has the paper's grids, layers and losses.
     `--preset paper --stages volume --init linemod` trains such a volume alone, on finished 2D
@@ -144,6 +148,8 @@ class TrainEstimatorConfig:
             steps = getattr(self, f"{part}_steps")
             if steps is not None and steps < 1:
                 raise ValueError(f"{part}_steps must be at least 1, got {steps}")
+        if self.cycles < 1:
+            raise ValueError(f"cycles must be at least 1, got {self.cycles}")
         if not 0 <= self.cut_and_paste <= 1:
             raise ValueError(f"cut_and_paste must be 0 to 1, got {self.cut_and_paste}")
         if self.augmentation not in ("mild", "strong"):

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from two_view_pose.pose_estimator.estimate import Roi, roi_of_pose
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, make_transform
-from two_view_pose.pose_estimator.joint_detection import choose_together, misfit
+from two_view_pose.pose_estimator.joint_detection import (
+    choose_together,
+    misfit,
+    sizes_together,
+)
 from votes import camera, view
 
 DIAMETER, SCALE = 0.1, 1.4
@@ -73,3 +77,32 @@ def test_a_camera_that_looks_away_fits_nothing():
     )
     region = seen((0.0, 0, 0), 20, 1)
     assert misfit(region, region, behind, flipped, DIAMETER, SCALE) == 16
+
+
+def test_sizes_come_from_where_the_rays_meet():
+    """Regions of any size with right centres get the sides of the object that is seen there."""
+    views = [view(d) for d in (20, 60, 100)]
+    here = (0.02, 0.03, 0.0)
+    true = [seen(here, d, 0.5) for d in (20, 60, 100)]
+    wrong = [
+        Roi(r.centre, f * r.side, r.score) for r, f in zip(true, (1.25, 1.1, 0.8), strict=True)
+    ]
+    for number in (2, 3):
+        sized = sizes_together(wrong[:number], views[:number], DIAMETER, SCALE)
+        for region, told, right in zip(sized, wrong, true, strict=False):
+            assert region.side == pytest.approx(right.side, rel=0.05)
+            assert region.centre is told.centre and region.score == told.score
+    assert sizes_together(wrong[:1], views[:1], DIAMETER, SCALE) == wrong[:1]
+
+
+def test_regions_that_do_not_belong_together_keep_their_sizes():
+    views = [view(d) for d in (20, 60, 100)]
+    regions = [seen((0.2, 0, 0), 20, 0.9), seen((0, 0.25, 0), 60, 0.8)]
+    assert sizes_together(regions, views[:2], DIAMETER, SCALE) == regions
+    # A third view that fits neither leaves the other two to agree.
+    pair = [seen((0.0, 0, 0), 20, 0.9), seen((0.0, 0, 0), 60, 0.8)]
+    larger = [Roi(r.centre, 1.2 * r.side, r.score) for r in pair]
+    odd = Roi(np.array([20.0, 400.0]), 60.0, 0.9)
+    *sized, kept = sizes_together([*larger, odd], views, DIAMETER, SCALE)
+    assert kept is odd
+    assert [r.side for r in sized] == pytest.approx([r.side for r in pair], rel=0.05)

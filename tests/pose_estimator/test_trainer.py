@@ -141,6 +141,52 @@ def test_optimizer_state_survives(tmp_path: Path):
     run_stage(stage, LoopConfig(tmp_path), silent)
     other = LineStage(20)
     optimizer = HybridOptimizer(other.module, 0.05, 0.0)
-    assert trainer._resume(other, optimizer, tmp_path / "line.safetensors") == 20
+    assert (
+        trainer._resume(other, optimizer, trainer._MeanWeights(), tmp_path / "line.safetensors")
+        == 20
+    )
     counts = [t for name, t in optimizer.state().items() if name.endswith(".step")]
     assert len(counts) == len(optimizer.parameters) and all(float(t) == 20 for t in counts)
+
+
+def test_the_weights_of_several_cycles_are_averaged(tmp_path: Path, monkeypatch):
+    ends = []
+    add = trainer._MeanWeights.add
+
+    def listen(self, module: nn.Module) -> None:
+        ends.append({name: tensor.clone() for name, tensor in module.state_dict().items()})
+        add(self, module)
+
+    monkeypatch.setattr(trainer._MeanWeights, "add", listen)
+    stage = LineStage(20)
+    run_stage(stage, LoopConfig(tmp_path / "whole", cycles=3), silent)  # of 7, 7 and 6 batches
+    assert len(ends) == 3
+    for name, tensor in stage.module.state_dict().items():
+        parts = torch.stack([end[name].double() for end in ends])
+        if tensor.is_floating_point():
+            torch.testing.assert_close(tensor.double(), parts.mean(0), atol=1e-6, rtol=1e-6)
+    assert not torch.equal(stage.module[0].weight, ends[2]["0.weight"])
+    assert torch.equal(stage.module[0].bias, ends[0]["0.bias"])  # was frozen
+
+    out = tmp_path / "killed"
+    for stop in (5, 4):  # before the first cycle ends, and after it
+        with pytest.raises(KeyboardInterrupt):
+            config = LoopConfig(out, checkpoint_every=-1.0, cycles=3)
+            run_stage(LineStage(20, fail_at=stop), config, silent)
+    resumed = LineStage(20)
+    run_stage(resumed, LoopConfig(out, cycles=3), silent)
+    for name, tensor in stage.module.state_dict().items():
+        assert torch.equal(tensor, resumed.module.state_dict()[name]), name
+
+
+def test_the_learning_rate_falls_once_a_cycle(tmp_path: Path, monkeypatch):
+    rates: list[float] = []
+    step = HybridOptimizer.step
+
+    def listen(self, rate: float) -> None:
+        rates.append(rate)
+        step(self, rate)
+
+    monkeypatch.setattr(HybridOptimizer, "step", listen)
+    run_stage(LineStage(40), LoopConfig(tmp_path, cycles=2), silent)
+    assert rates[:20] == rates[20:] and rates[19] < 0.03 * max(rates) and len(rates) == 40
