@@ -8,6 +8,7 @@ drawn rather than collected, so that training needs nobody's photographs.
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -35,7 +36,7 @@ def draw_collage(rng: np.random.Generator, size: int) -> np.ndarray:
     for radius in radii if rng.uniform() < 0.5 else np.sort(radii)[::-1]:
         free = rng.uniform() < 0.15
         colour = _colour(rng) if free else palette[rng.integers(len(palette))]
-        _draw_leaf(picture, rng, float(radius), colour)
+        draw_leaf(picture, rng, float(radius), colour, rng.uniform(0, size, 2))
     for _ in range(int(rng.integers(0, 4))):
         _draw_text(picture, rng, palette[rng.integers(len(palette))])
     light = cv2.resize(
@@ -94,12 +95,22 @@ def _clouds(rng: np.random.Generator, size: int, palette: list[tuple[float, ...]
     return (first + (second - first) * mix).astype(np.uint8)
 
 
-def _draw_leaf(
-    picture: np.ndarray, rng: np.random.Generator, radius: float, colour: tuple[float, ...]
+def draw_leaf(
+    picture: np.ndarray,
+    rng: np.random.Generator,
+    radius: float,
+    colour: Sequence[float],
+    centre: np.ndarray,
 ) -> None:
-    """A rectangle, an ellipse, a polygon or a line, in place."""
-    size = len(picture)
-    centre = rng.uniform(0, size, 2)
+    """Draws a rectangle, an ellipse, a polygon or a line, in place.
+
+    Args:
+        picture: (H, W, 3) uint8.
+        rng: decides kind, shape and turn.
+        radius: half the larger side in pixels.
+        colour: RGB, 0 to 255.
+        centre: (2,) pixels.
+    """
     kind = rng.choice(["rectangle", "ellipse", "polygon", "line"], p=[0.4, 0.25, 0.2, 0.15])
     angle = rng.normal(0, 0.1) if rng.uniform() < 0.4 else rng.uniform(0, np.pi)
     axes = radius * np.array([1.0, rng.uniform(0.25, 1.0)])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from .collage import draw_collage
+from .collage import draw_collage, draw_leaf
 from .crops import STORED_SIDE, CropPack
 
 BANK = 384
@@ -140,14 +140,17 @@ class CropPaster:
         return crop, mask, depth
 
     def paste_frame(self, picture: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
-        """Puts a drawn background behind all targets of a whole frame, or leaves it as it is.
+        """Puts a drawn background or decoys behind all targets of a whole frame, or leaves it.
 
         Args:
             picture: the frame at the detector's size, RGB uint8 (H, W, 3).
             frame: its number in the pack.
             rng: source of randomness.
         """
-        if not self._collages or rng.random() >= self.config.background:
+        if not self._collages:
+            return picture
+        drawn, decoyed = (rng.random() < self.config.background for _ in range(2))
+        if not drawn and not decoyed:
             return picture
         height, width = picture.shape[:2]
         low, high = np.searchsorted(self.pack.frame_index, [frame, frame + 1])
@@ -158,9 +161,39 @@ class CropPaster:
                 self.pack.mask(target), back[:2], (width, height), flags=cv2.INTER_AREA
             )
             np.maximum(shown, mask, out=shown)
-        collage = self._collages[rng.integers(len(self._collages))]
-        window = _window(collage, max(height, width), rng)[:height, :width]
-        return blend(np.ascontiguousarray(window), picture, shown)
+        behind = picture
+        if drawn:
+            collage = self._collages[rng.integers(len(self._collages))]
+            behind = _window(collage, max(height, width), rng)[:height, :width]
+            behind = np.ascontiguousarray(behind)
+        if decoyed:
+            behind = self._with_decoys(behind, rng)
+        return blend(behind, picture, shown)
+
+    def _with_decoys(self, picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Adds things that have the colours of objects and not their shapes.
+
+        A detector that has seen none takes a red car for LineMOD's ape.
+        """
+        height, width = picture.shape[:2]
+        out = picture.copy()
+        for _ in range(int(rng.integers(1, 6))):
+            piece = self._piece(int(self.bank[rng.integers(len(self.bank))]))
+            colours = piece[piece[..., 3] > 200][:, :3]
+            centre = rng.uniform(0, (width, height))
+            radius = np.exp(rng.uniform(np.log(0.03), np.log(0.14))) * width
+            for _ in range(int(rng.integers(1, 5)) if len(colours) else 0):
+                colour = colours[rng.integers(len(colours))] * rng.uniform(0.8, 1.2)
+                place = centre + rng.normal(0, 0.6 * radius, 2)
+                size = radius * rng.uniform(0.3, 1.0)
+                draw_leaf(out, rng, size, np.minimum(colour, 255).tolist(), place)
+        light = cv2.resize(
+            rng.uniform(0.7, 1.2, (6, 8)).astype(np.float32), (width, height),
+            interpolation=cv2.INTER_LINEAR,
+        )  # fmt: skip
+        changed = (out != picture).any(-1)
+        out[changed] = np.clip(out[changed] * light[changed][:, None], 0, 255).astype(np.uint8)
+        return out
 
     def _background(self, backgrounds: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """What is put behind a target, square: drawn, or one of ``backgrounds``."""

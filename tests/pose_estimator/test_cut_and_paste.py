@@ -217,6 +217,24 @@ def test_a_frame_keeps_its_targets_before_a_drawn_background():
     assert none_drawn.paste_frame(frame, 0, np.random.default_rng(3)) is frame
 
 
+def test_decoys_have_colours_of_objects_and_other_shapes():
+    paster = drawn(CutAndPasteConfig(background=1.0, collages=1.0), three_like(), 3)
+    frame = np.full((240, 320, 3), 60, np.uint8)
+    before, shares, near = frame.copy(), [], []
+    for seed in range(8):
+        seen = paster._with_decoys(frame, np.random.default_rng(seed))
+        changed = (seen != before).any(-1)
+        shares.append(changed.mean())
+        # Brighter or darker, but of the hue of one of the three: its channels are in proportion.
+        found = seen[changed].astype(float)
+        hues = found / np.linalg.norm(found, axis=1, keepdims=True).clip(1)
+        known = np.array(COLOURS[:3], float)
+        known /= np.linalg.norm(known, axis=1, keepdims=True)
+        near.append(((hues @ known.T).max(1) > 0.97).mean())
+    assert np.median(near) > 0.6  # JPEG mixes colours at edges
+    assert np.array_equal(frame, before) and 0.002 < np.median(shares) < 0.4
+
+
 def three_like() -> CropPack:
     return discs([0, 1, 2, 1, 2], [0, 0, 1, 2, 3])
 
