@@ -8,6 +8,9 @@ import numpy as np
 
 from .geometry import project
 
+_LEAST_SHOWN = 0.3
+"""Sine of the angle between an axis and the line of sight from which on its direction counts."""
+
 _NEAREST = 0.1
 """Least depth in metres at which a region of interest is placed."""
 
@@ -42,6 +45,26 @@ def roi_of_pose(
     depth = max(float(T_cam_obj[2, 3]), _NEAREST)
     centre = project(np.array([T_cam_obj[0, 3], T_cam_obj[1, 3], depth]), K)
     return Roi(centre=centre, side=scale * diameter * K[0, 0] / depth, score=score)
+
+
+def upright_turn(T_cam_obj: np.ndarray, K: np.ndarray) -> float | None:
+    """How far to turn a picture so that an object's z axis, as it is seen, points up.
+
+    Args:
+        T_cam_obj: (4, 4), metres.
+        K: camera matrix, (3, 3).
+
+    Returns:
+        Radians as :func:`turn_matrix` takes them, -pi to pi; None where the axis points so much
+        towards the camera or away that it has no direction in the picture.
+    """
+    centre, axis = T_cam_obj[:3, 3], T_cam_obj[:3, 2]
+    # The derivative of the projection at the centre, along the axis.
+    seen = K[:2, :2] @ (axis[:2] - axis[2] * centre[:2] / max(centre[2], _NEAREST))
+    if np.hypot(*seen) < _LEAST_SHOWN * K[0, 0]:
+        return None
+    turn = -np.pi / 2 - np.arctan2(seen[1], seen[0])
+    return float((turn + np.pi) % (2 * np.pi) - np.pi)
 
 
 def depth_of_roi(roi: Roi, K: np.ndarray, diameter: float, scale: float) -> float:

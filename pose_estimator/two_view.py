@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .estimate import PoseEstimate, Roi, roi_of_pose
+from .estimate import PoseEstimate, Roi, roi_of_pose, upright_turn
 from .frontend import EncodedView, merge_votes
 from .geometry import View, invert
 from .single_view import SingleViewEstimator, check_rois, first_view
@@ -19,7 +19,10 @@ from .solvers import solve_pose
 from .symmetry import keypoint_permutations
 
 _TURNS = (0.0, -0.2, 0.2)
-"""Turns in radians of the crops of the second look, from that of the first look."""
+"""Turns in radians of the crops of the second look, from the one that shows the object upright."""
+
+_LARGEST_TURN = 1.5
+"""Largest turn in radians of a crop of the second look."""
 
 
 class TwoViewEstimator(SingleViewEstimator):
@@ -115,8 +118,10 @@ class TwoViewEstimator(SingleViewEstimator):
     ) -> list[EncodedView]:
         """Crops every view where a first fusion says the object is, and votes once more.
 
-        The detector misjudges the size of a region by some ten percent; a fused pose does not. And
-        a network's errors differ a little from crop to crop: the votes of several are averaged.
+        The detector misjudges the size of a region by some ten percent; a fused pose does not. A
+        network has seen most objects upright and believes a leaning one less leaning than it is: in
+        the new crops it stands upright. And a network's errors differ a little from crop to crop:
+        the votes of several are averaged.
         """
         model, index = self.networks.objects[object_name], self.index(object_name)
         permutations = keypoint_permutations(model.keypoints, model.symmetries)
@@ -126,7 +131,10 @@ class TwoViewEstimator(SingleViewEstimator):
         for first in encoded:
             T = first.view.T_cam_world @ invert(T_ref_world) @ fused.T_cam_obj
             roi = roi_of_pose(T, first.view.K, model.diameter, scale, first.roi.score)
-            turns = [first.turn + turn for turn in _TURNS]
+            upright = upright_turn(T, first.view.K)
+            upright = first.turn if upright is None else upright
+            upright = float(np.clip(upright, -_LARGEST_TURN, _LARGEST_TURN))
+            turns = [upright + turn for turn in _TURNS]
             again, *turned = self.frontend.encode_turned(first.view, index, roi, turns)
             views.append(merge_votes(again, [*turned, first], permutations))
         return views

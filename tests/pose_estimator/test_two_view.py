@@ -6,14 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from two_view_pose.pose_estimator.agreement import agree, explain, joint_pose
-from two_view_pose.pose_estimator.estimate import PoseEstimate, Roi, roi_of_pose
+from two_view_pose.pose_estimator.estimate import PoseEstimate, Roi, roi_of_pose, upright_turn
 from two_view_pose.pose_estimator.geometry import (
     LINEMOD_K,
     View,
     make_transform,
     project,
     transform,
+    turn_matrix,
 )
 from two_view_pose.pose_estimator.late_fusion import LateFusionEstimator
 from two_view_pose.pose_estimator.mid_fusion import MidFusionEstimator
@@ -200,7 +202,45 @@ def test_wrong_calls_are_refused(networks):
         looking(networks, TwoViewEstimator, [view(20), view(70)])
 
 
-def test_the_second_look_is_turned_as_the_first(networks):
+@pytest.mark.parametrize("roll", [-2.5, -0.7, 0.0, 0.3, 1.2])
+def test_an_upright_turn_makes_the_axis_point_up(roll):
+    T = rolled(roll) @ camera(35) @ T_WORLD_OBJ
+    ends = project(transform(T, np.array([[0, 0, 0], [0, 0, 1e-4]])), LINEMOD_K)
+    along = turn_matrix(upright_turn(T, LINEMOD_K), 128)[:2, :2] @ (ends[1] - ends[0])
+    assert along[1] < 0 and abs(along[0]) < 1e-3 * abs(along[1])
+
+
+def test_an_axis_towards_the_camera_has_no_upright():
+    above = make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 0.8]))
+    assert upright_turn(above, LINEMOD_K) is None
+    assert upright_turn(make_transform(np.eye(3), np.array([0.0, 0, -0.5])), LINEMOD_K) is None
+
+
+def rolled(angle: float) -> np.ndarray:
+    """The motion (4, 4) of a camera that is turned about its line of sight."""
+    return make_transform(Rotation.from_euler("z", angle).as_matrix(), np.zeros(3))
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.8, 2.4])
+def test_the_second_look_shows_the_object_upright(networks, roll):
+    asked = []
+
+    class Turned(PerfectVotes):
+        def encode_turned(self, view, index, roi, turns):
+            asked.append(tuple(turns))
+            return super().encode_turned(view, index, roi, turns)
+
+    views = [replace(view(d), T_cam_world=rolled(roll) @ camera(d)) for d in (20, 70)]
+    estimator = LateFusionEstimator(networks)
+    estimator.frontend = Turned(networks)
+    found = estimator.estimate(views, "brick")
+    upright = upright_turn(found.T_cam_obj, LINEMOD_K)
+    assert asked[0][0] == pytest.approx(np.clip(upright, -1.5, 1.5), abs=0.1)
+    assert asked[0][0] == pytest.approx(max(-roll, -1.5), abs=0.1)
+    assert min(asked[0]) == asked[0][0] - 0.2 and max(asked[0]) == asked[0][0] + 0.2
+
+
+def test_where_upright_has_no_meaning_the_turn_of_the_first_look_is_kept(networks):
     asked = []
 
     class Turned(PerfectVotes):
@@ -208,11 +248,12 @@ def test_the_second_look_is_turned_as_the_first(networks):
             return replace(super().encode(view, index, roi), turn=0.5 * self.calls)
 
         def encode_turned(self, view, index, roi, turns):
-            asked.append(tuple(turns))
+            asked.append(turns[0])
             return super().encode_turned(view, index, roi, turns)
 
     estimator = LateFusionEstimator(networks)
     estimator.frontend = Turned(networks)
-    estimator.estimate([view(20), view(70)], "brick")
-    assert [turns[0] for turns in asked] == [0.5, 1.0]
-    assert np.ptp(asked[0]) == pytest.approx(0.4) and min(asked[0]) < 0.5 < max(asked[0])
+    encoded, first = estimator.encode_views([view(20), view(70)], "brick")
+    above = make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 0.9]))
+    estimator.look_again(encoded[:1], "brick", replace(first, T_cam_obj=above))
+    assert asked == [0.5]
