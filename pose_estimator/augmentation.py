@@ -193,7 +193,7 @@ def repaint_side(
     heights = points @ (outwards * (1.0 if outwards @ view > 0 else -1.0))
     reach = rng.uniform(0.03, 0.35) * np.ptp(heights)
     outline = cv2.convexHull(pixels[heights >= heights.max() - reach].astype(np.float32))
-    spot = np.zeros(mask.shape, np.uint8)
+    spot: np.ndarray = np.zeros(mask.shape, np.uint8)
     cv2.fillConvexPoly(spot, np.rint(outline).astype(np.int32), 255)
     spot = cv2.GaussianBlur(spot, (0, 0), rng.uniform(0.5, 2.0))
     return _tint(picture, np.minimum(spot, mask), rng)
