@@ -42,6 +42,11 @@ VERBS = {
         "envs.generate:generate",
         "renders paired training or test data and writes it in BOP format",
     ),
+    "record-bank": Verb(
+        "envs.record_bank:RecordBankConfig",
+        "envs.record_bank:record_bank",
+        "records every second view of many scenes, for training and tests without rendering",
+    ),
     "cut-and-paste": Verb(
         "pose_estimator.cut_and_paste_command:CutAndPasteCommand",
         "pose_estimator.cut_and_paste_command:cut_and_paste",

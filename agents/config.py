@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-Scene = Literal["linemod", "occlusion"]
+Scene = Literal["linemod", "clutter", "occlusion", "heap"]
 PlainArguments = Annotated[dict[str, Any], tyro.conf.Suppress]
 
 BOX_ENV, DISCRETE_ENV = "TwoViewPose-v0", "TwoViewPoseDiscrete-v0"
@@ -28,7 +28,7 @@ class TrainAgentConfig:
     env: str | None = None
     """Environment id; by default TwoViewPoseDiscrete-v0 for dqn, else TwoViewPose-v0."""
     scene: Scene = "linemod"
-    """Light clutter, or clutter that hides much of the target."""
+    """Light clutter, heavy clutter, the target between tall things, or in a heap of objects."""
     objects: tuple[str, ...] = ()
     """Names of objects or mesh files; by default the 13 of LineMOD."""
     estimator: str | None = "mid"
@@ -80,7 +80,7 @@ class EvaluateAgentConfig:
     """random, fixed (30 degrees to the side), max-baseline (farthest in angle), or files that
     train-agent wrote."""
     scene: Scene = "linemod"
-    """Light clutter, or clutter that hides much of the target."""
+    """Light clutter, heavy clutter, the target between tall things, or in a heap of objects."""
     episodes: int = 100
     """Scenes."""
     seed: int = 0

@@ -24,8 +24,8 @@ class DemoConfig:
 
     object: str | None = None
     """Name of the object to look for; by default the seed draws one."""
-    scene: Literal["linemod", "occlusion"] = "linemod"
-    """Light clutter, or clutter that hides much of the object."""
+    scene: Scene = "linemod"
+    """Light clutter, heavy clutter, an object between tall things, or in a heap."""
     policy: str = "max-baseline"
     """Who chooses the second view: random, fixed (30 degrees to the side), max-baseline (farthest
     in angle), or a file that train-agent wrote."""

@@ -89,6 +89,19 @@ def draw_size(rng: np.random.Generator, kind: str) -> np.ndarray:
     return np.array([rng.uniform(0.02, 0.05), 0.0, 0.0])
 
 
+def draw_tall_size(rng: np.random.Generator, kind: str) -> np.ndarray:
+    """The size of a plain shape that hides what is beside it: up to 0.4 m tall (spheres are not).
+
+    Returns:
+        MuJoCo's geom size, (3,) metres.
+    """
+    if kind == "box":
+        return rng.uniform((0.03, 0.02, 0.07), (0.09, 0.05, 0.2))
+    if kind == "cylinder":
+        return np.array([rng.uniform(0.02, 0.05), rng.uniform(0.03, 0.2), 0.0])
+    return draw_size(rng, kind)
+
+
 def draw_rest(rng: np.random.Generator, ways: list[Resting], upright: float) -> Resting:
     """Upright with this probability, else any of the other ways that a thing rests."""
     if len(ways) == 1 or rng.uniform() < upright:

@@ -47,6 +47,9 @@ WORKSPACE_LOW, WORKSPACE_HIGH = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5,
 
 IMAGE_SIZES = (36, 256)
 
+MOST_VIEWS = 8
+"""Views that one episode may have, the reference view included."""
+
 
 class ViewSelectionEnv(gym.Env[Observation, Any]):
     """What all variants of Two-View Pose share; see ``TwoViewPoseEnv`` for the arguments.
@@ -124,6 +127,22 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         return tuple(self._running().views)
 
     @property
+    def estimate(self) -> PoseEstimate | None:
+        """The newest estimate, in the reference camera; None without an estimator."""
+        estimates = self._running().estimates
+        return estimates[-1] if estimates else None
+
+    @property
+    def intrinsics(self) -> np.ndarray:
+        """The camera matrix of the pictures, (3, 3)."""
+        return self._K.copy()
+
+    @property
+    def T_cam_world(self) -> np.ndarray:
+        """The reference camera, (4, 4)."""
+        return self._running().cameras[0].copy()
+
+    @property
     def reference_position(self) -> SpherePosition:
         """The reference camera as seen from the middle of the view sphere."""
         episode = self._running()
@@ -163,7 +182,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         drawn_seed = int(self.np_random.integers(2**31))
         scene_seed = drawn_seed if chosen.scene_seed is None else chosen.scene_seed
         # One stream for each purpose, so that what one of them draws never moves another.
-        scene_rng, noise_rng, *sensor_rngs = np.random.default_rng(scene_seed).spawn(4)
+        scene_rng, noise_rng, *sensor_rngs = np.random.default_rng(scene_seed).spawn(2 + MOST_VIEWS)
         drawn_name = self._names[int(scene_rng.integers(len(self._names)))]
         name = drawn_name if chosen.object is None else chosen.object
         state = self._scene.reset(scene_rng, name, chosen.reference_camera)
@@ -198,6 +217,24 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         if self.render_mode == "human":
             self.render()
         return self._observation(), self._reward(), True, False, self._info()
+
+    def peek(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """What ``step(action)`` would return now; the episode stays as it is.
+
+        For recording many second views of one scene, and for the policy that knows the answer.
+
+        Raises:
+            ValueError: as :meth:`step`.
+            ResetNeeded: as :meth:`step`.
+        """
+        before = self._running()
+        self._episode = before.copy()
+        mode, self.render_mode = self.render_mode, None
+        try:
+            return self.step(action)
+        finally:
+            self._episode, self.render_mode = before, mode
+            self._carrier.place(before.cameras[-1])
 
     def render(self) -> np.ndarray | None:
         """The picture of the episode, RGB uint8 (664, 1360, 3); None if it is shown in a window.

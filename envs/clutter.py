@@ -20,6 +20,7 @@ from .arrangement import (
     Thing,
     draw_rest,
     draw_size,
+    draw_tall_size,
     framing_camera,
     joined,
     target_visibility,
@@ -91,6 +92,7 @@ class _Search:
 
     def hidden(self) -> tuple[Arrangement, np.ndarray, float]:
         """LM-O: a wished visibility, approached by turning the table, then by an occluder."""
+        walled = self.config.kind == "occlusion"
         wish = float(np.interp(self.rng.uniform(), *LMO_VISIBILITY))
         low = self.range.elevation[0]
         top = min(self.range.elevation[1], max(low, np.deg2rad(35.0 + 50.0 * wish)))
@@ -100,7 +102,7 @@ class _Search:
             return abs(visibility - wish)
 
         for _ in range(3):
-            arrangement = self.scatter(nearest=(0.0, 0.25))
+            arrangement = self.surround() if walled else self.scatter(nearest=(0.0, 0.25))
             T = self.place_camera(arrangement)
             if self.try_rotations(arrangement, T, _ROTATIONS, miss, _TOLERANCE):
                 break
@@ -116,31 +118,60 @@ class _Search:
 
     def scatter(self, nearest: tuple[float, float]) -> Arrangement:
         """Puts the target near the table's middle and clutter around it."""
+        table = self.target_alone()
+        self.add_objects(table, nearest)
+        self.add_shapes(table, nearest)
+        return table
+
+    def surround(self) -> Arrangement:
+        """Puts tall things close around the target, boxes first, then objects as close as fits."""
+        table = self.target_alone()
+        self.add_shapes(table, (0.0, 0.0), tall=True)
+        self.add_objects(table, (0.0, 0.0))
+        return table
+
+    def target_alone(self) -> Arrangement:
+        """The target near the table's middle, and nothing else."""
+        xy = self.rng.uniform(-0.12, 0.12, 2)
+        rest = draw_rest(self.rng, self.resting[self.target], self.config.upright_probability)
+        placed = Placed(rest, xy, self.rng.uniform(-np.pi, np.pi))
+        return Arrangement({self.target: Thing(placed)}, {})
+
+    def add_objects(self, table: Arrangement, nearest: tuple[float, float]) -> None:
+        """Puts other objects around the target, at least a drawn distance away, where they fit."""
         rng, config = self.rng, self.config
-        xy = rng.uniform(-0.12, 0.12, 2)
-        rest = draw_rest(rng, self.resting[self.target], config.upright_probability)
-        placed = Placed(rest, xy, rng.uniform(-np.pi, np.pi))
-        objects, shapes = {self.target: Thing(placed)}, {}
-        all_placed = [placed]
         others = [name for name in self.resting if name != self.target]
         count = min(
             len(others), int(rng.integers(config.object_count[0], config.object_count[1] + 1))
         )
         for k in rng.permutation(len(others))[:count]:
             rest = draw_rest(rng, self.resting[others[k]], config.clutter_upright_probability)
-            fitted = pack(rng, rest, all_placed, xy, rng.uniform(*nearest), TABLE_HALF)
+            fitted = self.beside_target(table, rest, nearest)
             if fitted is not None:
-                objects[others[k]] = Thing(fitted)
-                all_placed.append(fitted)
+                table.objects[others[k]] = Thing(fitted)
+
+    def add_shapes(
+        self, table: Arrangement, nearest: tuple[float, float], tall: bool = False
+    ) -> None:
+        """Puts plain shapes around the target where they fit; tall ones are boxes if possible."""
+        rng, config = self.rng, self.config
         count = int(rng.integers(config.shape_count[0], config.shape_count[1] + 1))
-        for k in rng.permutation(len(SHAPE_KINDS))[:count]:
-            size = draw_size(rng, SHAPE_KINDS[k])
-            rest = resting_shape(SHAPE_KINDS[k], size)
-            fitted = pack(rng, rest, all_placed, xy, rng.uniform(*nearest), TABLE_HALF)
+        kinds = rng.permutation(len(SHAPE_KINDS))
+        if tall:
+            kinds = kinds[np.argsort([SHAPE_KINDS[k] != "box" for k in kinds], kind="stable")]
+        for k in kinds[:count]:
+            size = (draw_tall_size if tall else draw_size)(rng, SHAPE_KINDS[k])
+            fitted = self.beside_target(table, resting_shape(SHAPE_KINDS[k], size), nearest)
             if fitted is not None:
-                shapes[int(k)] = Thing(fitted, size)
-                all_placed.append(fitted)
-        return Arrangement(objects, shapes)
+                table.shapes[int(k)] = Thing(fitted, size)
+
+    def beside_target(
+        self, table: Arrangement, rest: Resting, nearest: tuple[float, float]
+    ) -> Placed | None:
+        """A place for one more thing in a random direction from the target."""
+        xy = table.objects[self.target].placed.xy
+        distance = self.rng.uniform(*nearest)
+        return pack(self.rng, rest, table.placed(), xy, distance, TABLE_HALF)
 
     def place_camera(self, arrangement: Arrangement) -> np.ndarray:
         """A reference camera whose picture holds the whole target."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -44,6 +45,18 @@ class Episode:
     travel: float = 0.0
     ended: bool = False
 
+    def copy(self) -> Episode:
+        """The same episode, which may go on another way; pictures and estimates are shared."""
+        return replace(
+            self,
+            noise_rng=deepcopy(self.noise_rng),
+            sensor_rngs=deepcopy(self.sensor_rngs),
+            cameras=list(self.cameras),
+            views=list(self.views),
+            estimates=list(self.estimates),
+            errors=list(self.errors),
+        )
+
     def T_cam_obj_true(self, index: int) -> np.ndarray:
         """The true pose in the camera of a view, (4, 4), a new array."""
         return self.cameras[index] @ self.T_world_obj
@@ -53,3 +66,8 @@ class Episode:
         first, last = (camera_centre(self.cameras[i]) - centre for i in (0, -1))
         sine, cosine = np.linalg.norm(np.cross(first, last)), first @ last
         return float(np.rad2deg(np.arctan2(sine, cosine)))
+
+
+def episode_seed(seed: int, number: int) -> int:
+    """The seed of ``reset`` for episode ``number`` of a study of many, the same wherever it runs."""
+    return int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])

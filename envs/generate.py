@@ -20,8 +20,9 @@ from .stereo import check_stereo
 
 if TYPE_CHECKING:
     from ..assets.object_model import ObjectModel
+    from .scene_writer import SceneMaker
 
-SceneKind = Literal["linemod", "occlusion", "heap", "mixed", "all"]
+SceneKind = Literal["linemod", "clutter", "occlusion", "heap", "mixed", "all"]
 Sampling = Literal["sphere", "hand-held", "mixed", "stereo"]
 Layout = Literal["full", "basic"]
 Look = Literal["tidy", "busy"]
@@ -48,8 +49,9 @@ class GenerateConfig:
     distractors: tuple[str, ...] = ()
     """Further objects that stand around, are annotated too, and are never the target."""
     scene: SceneKind = "mixed"
-    """Light clutter, heavy clutter, eight objects in a heap, the first two by turns, or all three
-    by turns."""
+    """`linemod` (light clutter), `clutter` (heavy), `occlusion` (the target between tall things) or
+    `heap` (eight objects close together); `mixed` is the first two by turns, `all` these and
+    heaps."""
     sampling: Sampling = "sphere"
     """Views spread over the sphere around the target, frames of a hand-held camera's path (1.5 to
     3 cm from one to the next), or both by turns; then the hand-held scenes are one reference view
@@ -149,6 +151,12 @@ class GenerateConfig:
             raise ValueError(f"jpeg_quality must be 0 to 100, got {self.jpeg_quality}")
         if not self.split or Path(self.split).name != self.split:
             raise ValueError(f"split must be the name of a folder, got {self.split!r}")
+
+    def maker(self) -> SceneMaker:
+        """What makes the scenes in a worker."""
+        from .scene_writer import SceneMaker
+
+        return SceneMaker(self)
 
 
 def generate(config: GenerateConfig) -> int:

@@ -19,9 +19,9 @@ from .placement import resting_poses
 from .randomization import Randomization, apply_randomization, neutral_look
 from .world import HIDDEN, MOVABLE, SHAPE_KINDS, World, compile_world
 
-KINDS = ("linemod", "occlusion", "heap")
-_OBJECT_COUNT = {"linemod": (3, 7), "occlusion": (5, 8), "heap": (7, 7)}
-_SHAPE_COUNT = {"linemod": (0, 4), "occlusion": (2, 5), "heap": (0, 2)}
+KINDS = ("linemod", "clutter", "occlusion", "heap")
+_OBJECT_COUNT = {"linemod": (3, 7), "clutter": (5, 8), "occlusion": (5, 8), "heap": (7, 7)}
+_SHAPE_COUNT = {"linemod": (0, 4), "clutter": (2, 5), "occlusion": (4, 7), "heap": (0, 2)}
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,11 @@ class SceneConfig:
     """What stands on the table.
 
     Attributes:
-        kind: "linemod" (light clutter, the target nearly always in full view), "occlusion"
-            (dense clutter; the target's visibility is distributed as in LM-O) or "heap" (eight
-            objects close together, all upright; the visibility of all is distributed so).
+        kind: "linemod" (light clutter, the target nearly always in full view), "clutter" (dense;
+            the target's visibility is distributed as in LM-O), "occlusion" (the target stands
+            between tall things and close neighbours; its visibility from the reference camera is
+            distributed so too, but from many other sides it is hidden) or "heap" (eight objects
+            close together, all upright; the visibility of all is distributed so).
         clutter_objects: fewest and most other objects; None takes the kind's own.
         plain_shapes: fewest and most boxes, cylinders and spheres; None takes the kind's own.
         upright_probability: how often the target stands upright.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ..assets.object_model import ObjectModel
     from .generate import GenerateConfig
 
-TURNS = {"mixed": ("linemod", "occlusion"), "all": ("linemod", "occlusion", "heap")}
+TURNS = {"mixed": ("linemod", "clutter"), "all": ("linemod", "clutter", "heap")}
 """Kinds of scenes that stand for several, which take turns."""
 
 
@@ -28,7 +28,7 @@ class ScenePlan:
     """One scene, before anything is drawn.
 
     Attributes:
-        kind: "linemod", "occlusion" or "heap".
+        kind: one of :data:`~.scene.KINDS`.
         target: name of the object to be found; of a heap, all objects are.
         length: frames of the sequence; None where views are spread over the sphere.
         frames: numbers of the frames that become pictures, ascending.

@@ -17,7 +17,7 @@ CENTRE_JITTER = 0.02
 CLEARANCE = 0.1
 """Distance in metres that the camera keeps from all things where that is possible."""
 
-LEAST_SEEN = {"linemod": 0.6, "occlusion": 0.1, "heap": 0.0}
+LEAST_SEEN = {"linemod": 0.6, "clutter": 0.1, "occlusion": 0.1, "heap": 0.0}
 """Visible fraction of the target all along the path where that is possible, by kind of scene."""
 
 _TRIES = 6

@@ -73,7 +73,8 @@ class TwoViewPoseEnv(ViewSelectionEnv):
     | `score`       | (1,)        | how sure the detector is of the reference view, 0 to 1   |
     | `object`      | (n,)        | one-hot of the target among `objects`                    |
     | `camera`      | (7,)        | the newest camera, seen from the estimated object        |
-    | `image`       | (64, 64, 3) | uint8 RGB crop of the reference view round the detection |
+    | `image`       | (64, 64, 3) | uint8 RGB crop of the reference view: the detection and  |
+    |               |             | what stands around it, 2.5 times as wide                 |
 
     `sigma` is the square root of the trace of the keypoint's covariance. `camera` holds the
     distance (metres, 0 to 3), then sine and cosine of the elevation, of the azimuth from the
@@ -129,7 +130,8 @@ class TwoViewPoseEnv(ViewSelectionEnv):
     |-----------------|--------------|--------------------------------------------------------|
     | `objects`       | None         | names, mesh files or a folder of them, or a dict of    |
     |                 |              | `ObjectModel`; None: LineMOD's thirteen                |
-    | `scene`         | `"linemod"`  | `"linemod"` (light clutter), `"occlusion"` (heavy),    |
+    | `scene`         | `"linemod"`  | `"linemod"` (light clutter), `"clutter"` (heavy),      |
+    |                 |              | `"occlusion"` (between tall things),                   |
     |                 |              | `"heap"` (eight close together), or a `SceneConfig`    |
     | `estimator`     | `"mid"`      | whose shipped weights are loaded (`"mid"`,             |
     |                 |              | `"single"`); or a `.safetensors` file of your own for  |

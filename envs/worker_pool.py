@@ -18,11 +18,34 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import TYPE_CHECKING
+from typing import Protocol
 
-if TYPE_CHECKING:
-    from .generate import GenerateConfig
-    from .scene_writer import SceneMaker
+
+class Maker(Protocol):
+    """Makes scenes by their numbers, in one process."""
+
+    def make(self, scene_id: int) -> None:
+        """Makes a scene and writes it."""
+        ...
+
+
+class MakerConfig(Protocol):
+    """What a pool needs to know; it travels to the workers.
+
+    Attributes:
+        workers: processes.
+        worker_memory: gigabytes from which on a worker is replaced; 0: never.
+    """
+
+    @property
+    def workers(self) -> int: ...
+    @property
+    def worker_memory(self) -> float: ...
+
+    def maker(self) -> Maker:
+        """A maker, made where it works."""
+        ...
+
 
 _QUIET_THREADS = {
     "OMP_NUM_THREADS": "1",
@@ -40,7 +63,7 @@ def quiet_threads() -> dict[str, str]:
     return {name: value for name, value in _QUIET_THREADS.items() if name not in os.environ}
 
 
-def make_scenes(config: GenerateConfig, scene_ids: Iterable[int]) -> Iterator[int]:
+def make_scenes(config: MakerConfig, scene_ids: Iterable[int]) -> Iterator[int]:
     """Makes scenes and yields the number of each that is ready.
 
     Raises:
@@ -93,18 +116,16 @@ def memory_in_use() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
-_maker: SceneMaker | None = None
+_maker: Maker | None = None
 
 
-def start_worker(config: GenerateConfig) -> None:
+def start_worker(config: MakerConfig) -> None:
     """In a worker: makes ready to make scenes."""
     global _maker
     import cv2
 
-    from .scene_writer import SceneMaker
-
     cv2.setNumThreads(1)
-    _maker = SceneMaker(config)
+    _maker = config.maker()
 
 
 def make_one(scene_id: int) -> int:
@@ -114,19 +135,19 @@ def make_one(scene_id: int) -> int:
     return memory_in_use()
 
 
-def _new_worker(config: GenerateConfig) -> ProcessPoolExecutor:
+def _new_worker(config: MakerConfig) -> ProcessPoolExecutor:
     """A worker; its process starts with its first scene."""
     spawn = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(1, spawn, initializer=_start_child, initargs=(config,))
 
 
-def _replace(worker: ProcessPoolExecutor, config: GenerateConfig) -> ProcessPoolExecutor:
+def _replace(worker: ProcessPoolExecutor, config: MakerConfig) -> ProcessPoolExecutor:
     """A fresh worker, once the old one has given back its memory."""
     worker.shutdown()
     return _new_worker(config)
 
 
-def _start_child(config: GenerateConfig) -> None:
+def _start_child(config: MakerConfig) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it and ends its workers
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     start_worker(config)

@@ -32,7 +32,7 @@ class EvaluateConfig:
     """Where the estimator looks first. The others are for analyses that leave the detector out:
     `truth` tells it the true region of the object, `noisy` that of the true centre plus noise of
     4 cm in depth and 1.2 cm sideways (standard deviations, drawn anew for each picture)."""
-    scene: Literal["linemod", "occlusion"] = "linemod"
+    scene: Literal["linemod", "clutter", "occlusion", "heap"] = "linemod"
     """Kind of our scenes."""
     scenes: int = 520
     """How many scenes; each of the objects is the target equally often."""

@@ -97,7 +97,7 @@ class DetectorMaps(NamedTuple):
 
 @dataclass(eq=False)
 class Frontend:
-    """Runs the 2D networks; remembers the last few views, so that a reference is encoded once.
+    """Runs the 2D networks; remembers the views used last, so that a reference is encoded once.
 
     Attributes:
         networks: in evaluation mode.
@@ -120,9 +120,10 @@ class Frontend:
             roi: a region of interest from elsewhere, instead of the detector's.
         """
         if roi is None:
-            for cached, cached_index, encoded in self._cache:
-                if cached is view and cached_index == index:
-                    return encoded
+            for entry in self._cache:
+                if entry[0] is view and entry[1] == index:
+                    self._cache = [*(e for e in self._cache if e is not entry), entry]
+                    return entry[2]
         region = roi or self.detect(view, index)
         [encoded] = self.encode_turned(view, index, region, (0.0,))
         if encoded.vote_score.mean() < _SURE:
@@ -170,9 +171,10 @@ class Frontend:
     @torch.inference_mode()
     def detector_maps(self, view: View) -> DetectorMaps:
         """What the detector says of all objects in a full frame; the last few are remembered."""
-        for cached, maps in self._maps:
-            if cached is view:
-                return maps
+        for entry in self._maps:
+            if entry[0] is view:
+                self._maps = [*(e for e in self._maps if e is not entry), entry]
+                return entry[1]
         detector = self.networks.detector
         small, to_image = detector_input(view.image, detector.config)
         frames = torch.from_numpy(small).permute(2, 0, 1)[None].float()
