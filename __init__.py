@@ -13,6 +13,9 @@ register(
     vector_entry_point="two_view_pose.envs.vector:make_two_view_pose",
 )
 register(
+    id="TwoViewPoseReplay-v0", entry_point="two_view_pose.envs.replay:TwoViewPoseReplayEnv"
+)
+register(
     id="TwoViewPoseDiscrete-v0",
     entry_point="two_view_pose.envs.two_view_pose:TwoViewPoseDiscreteEnv",
     vector_entry_point="two_view_pose.envs.vector:make_two_view_pose_discrete",

@@ -12,14 +12,26 @@ Scene = Literal["linemod", "clutter", "occlusion", "heap"]
 PlainArguments = Annotated[dict[str, Any], tyro.conf.Suppress]
 
 BOX_ENV, DISCRETE_ENV = "TwoViewPose-v0", "TwoViewPoseDiscrete-v0"
+REPLAY_ENV = "TwoViewPoseReplay-v0"
 
 
 @dataclass(frozen=True)
 class TrainAgentConfig:
     """Train an agent that chooses the second view. Run it again to go on after a kill."""
 
-    algo: Literal["ppo", "sac", "dqn"] = "ppo"
-    """Algorithm; dqn chooses among the views of TwoViewPoseDiscrete-v0."""
+    algo: Literal["ppo", "sac", "dqn", "greedy"] = "ppo"
+    """Algorithm: dqn chooses among the views of TwoViewPoseDiscrete-v0; greedy is no reinforcement
+    learning, but a network that learns from a bank to predict the error after every view."""
+    bank: Path | None = None
+    """Recorded views (`record-bank`) to train on, in minutes, instead of rendering."""
+    action: Literal["discrete", "box"] | None = None
+    """With a bank: choose among its views, or a place on the view sphere (its nearest view is
+    taken); by default box for sac, else discrete."""
+    validation: int = 100
+    """With a bank: its last scenes, on which the policy is measured while it learns; the best one
+    is kept."""
+    evaluate_every: int = 5000
+    """With a bank: environment steps from one such measurement to the next."""
     steps: int | None = None
     """Environment steps in all, those before a kill included; by default n_timesteps of the
     hyper-parameters."""
@@ -54,7 +66,12 @@ class TrainAgentConfig:
     """More arguments of the environment, plain data, for callers from Python."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "n_envs", "checkpoint_every"):
+        if self.algo == "greedy" and self.bank is None:
+            raise ValueError(
+                "greedy learns from a bank: pass --bank FILE; `python -m two_view_pose record-bank "
+                "--out FILE` records one"
+            )
+        for name in ("steps", "n_envs", "checkpoint_every", "validation", "evaluate_every"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise ValueError(f"{name} must be at least 1, got {value}")
@@ -64,11 +81,16 @@ class TrainAgentConfig:
     @property
     def env_id(self) -> str:
         """The environment's id."""
+        if self.bank is not None:
+            return self.env or REPLAY_ENV
         return self.env or (DISCRETE_ENV if self.algo == "dqn" else BOX_ENV)
 
     @property
     def environment_arguments(self) -> dict[str, Any]:
         """What the environment is made with."""
+        if self.bank is not None:
+            action = self.action or ("box" if self.algo == "sac" else "discrete")
+            return {"bank": str(self.bank), "action": action} | self.env_kwargs
         return environment_arguments(self.scene, self.objects, self.estimator, self.env_kwargs)
 
 
@@ -77,14 +99,24 @@ class EvaluateAgentConfig:
     """Compare policies on the same scenes, beside what the first view alone gives."""
 
     policy: tuple[str, ...] = ("random", "fixed", "max-baseline")
-    """random, fixed (30 degrees to the side), max-baseline (farthest in angle), or files that
-    train-agent wrote."""
+    """stay (no second view), random, fixed (30 degrees to the side), above (so far to the side,
+    from 70 degrees above), max-baseline (farthest in angle), uncertainty (the view that most
+    shrinks the keypoints' covariance), oracle (knows the truth: an upper bound), an agent that
+    ships, or files that train-agent wrote."""
     scene: Scene = "linemod"
     """Light clutter, heavy clutter, the target between tall things, or in a heap of objects."""
-    episodes: int = 100
-    """Scenes."""
+    episodes: int | None = None
+    """Scenes; by default 100, or all of a bank."""
     seed: int = 0
     """Seed of the scenes; the same for every policy."""
+    seeds: int = 1
+    """Repeats with seeds one after the other: other scenes, or over a bank the same scenes with
+    other draws of the policies that draw."""
+    bank: Path | None = None
+    """Recorded views (`record-bank`) instead of rendered ones: all its scenes unless --episodes
+    says fewer."""
+    figures: Path | None = None
+    """Folder for the figures: recall against baseline angle, regret, and view spheres."""
     env: str | None = None
     """Environment id; by default the one that the trained policies were trained on, else
     TwoViewPose-v0."""
@@ -104,8 +136,10 @@ class EvaluateAgentConfig:
             raise ValueError("policy must name at least one policy, got none")
         if len(set(self.policy)) < len(self.policy):
             raise ValueError(f"policy must name each policy once, got {' '.join(self.policy)}")
-        if self.episodes < 1:
-            raise ValueError(f"episodes must be at least 1, got {self.episodes}")
+        for name in ("episodes", "seeds"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"{name} must be at least 1, got {value}")
         if self.seed < 0:
             raise ValueError(f"seed must be at least 0, got {self.seed}")
 

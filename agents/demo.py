@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image
 
 from ..pose_estimator.results import write_atomically, write_results
+from .config import Scene
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -51,7 +52,7 @@ def demo(config: DemoConfig) -> None:
         GraphicsUnavailable: if there is no OpenGL to draw with.
     """
     started = perf_counter()
-    from .baselines import make_policy
+    from .policies import make_policy
 
     env = gym.make(f"two_view_pose:{config.env}", scene=config.scene, render_mode="rgb_array")
     try:

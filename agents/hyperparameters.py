@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,15 @@ import stable_baselines3 as sb3
 import torch
 import yaml
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import LinearSchedule
 
+from .extractor import ViewExtractor
+
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC, "dqn": sb3.DQN}
+
+GREEDY = "greedy"
+"""The algorithm that is no reinforcement learning: a network predicts every candidate's error."""
 
 SHIPPED = Path(__file__).with_name("hyperparameters.yml")
 
@@ -24,9 +31,37 @@ ACTIVATIONS: dict[str, type[torch.nn.Module]] = {
     "silu": torch.nn.SiLU,
 }
 
+EXTRACTORS: dict[str, type[BaseFeaturesExtractor]] = {"ViewExtractor": ViewExtractor}
+"""Feature extractors that plain data can name."""
+
+
+@dataclass(frozen=True)
+class GreedyHyperparameters:
+    """How the networks of ``greedy-predicted`` are trained.
+
+    Attributes:
+        epochs: times that every scene is seen.
+        batch_size: scenes in a batch.
+        learning_rate: falls to 0 along half a cosine.
+        weight_decay: of AdamW.
+        features_dim, width, dropout: of each network, see :class:`ViewExtractor`.
+        networks: how many networks answer together.
+    """
+
+    epochs: int = 60
+    batch_size: int = 32
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-2
+    features_dim: int = 128
+    width: int = 12
+    dropout: float = 0.3
+    networks: int = 4
+
+
 POLICY_KWARGS = frozenset(
     {
         "activation_fn",
+        "features_extractor_class",
         "features_extractor_kwargs",
         "log_std_init",
         "n_critics",
@@ -75,9 +110,12 @@ def load_hyperparameters(algo: str, env_id: str, path: Path | None = None) -> di
 
 def check_hyperparameters(algo: str, entry: Mapping[str, Any]) -> None:
     """Raises ValueError if a name in ``entry`` is not an argument of the algorithm."""
-    if algo not in ALGORITHMS:
-        raise ValueError(f"algo must be one of {', '.join(ALGORITHMS)}, got {algo!r}")
-    allowed = (set(inspect.signature(ALGORITHMS[algo]).parameters) | OURS) - NOT_PLAIN
+    if algo not in (*ALGORITHMS, GREEDY):
+        raise ValueError(f"algo must be one of {', '.join([*ALGORITHMS, GREEDY])}, got {algo!r}")
+    if algo == GREEDY:
+        allowed = {item.name for item in fields(GreedyHyperparameters)}
+    else:
+        allowed = (set(inspect.signature(ALGORITHMS[algo]).parameters) | OURS) - NOT_PLAIN
     unknown = sorted(set(entry) - allowed)
     if unknown:
         raise ValueError(
@@ -120,6 +158,13 @@ def policy_kwargs(entry: Mapping[str, Any]) -> dict[str, Any]:
                 f"got {kwargs['activation_fn']!r}"
             )
         kwargs["activation_fn"] = ACTIVATIONS[kwargs["activation_fn"]]
+    if "features_extractor_class" in kwargs:
+        if kwargs["features_extractor_class"] not in EXTRACTORS:
+            raise ValueError(
+                f"features_extractor_class must be one of {', '.join(EXTRACTORS)}, "
+                f"got {kwargs['features_extractor_class']!r}"
+            )
+        kwargs["features_extractor_class"] = EXTRACTORS[kwargs["features_extractor_class"]]
     return kwargs
 
 

@@ -13,17 +13,20 @@ from typing import Any
 
 import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecTransposeImage
 
 from ..pose_estimator.results import write_results
 from .checkpoint import AgentHeader, describe_space, read_agent, write_agent
 from .config import BOX_ENV, DISCRETE_ENV, TrainAgentConfig
-from .hyperparameters import ALGORITHMS, algorithm_kwargs, load_hyperparameters
+from .hyperparameters import ALGORITHMS, GREEDY, algorithm_kwargs, load_hyperparameters
 from .training_state import counters, restart, restore_state, state_tensors
 
 CHECKPOINT, POLICY, LOGS = "checkpoint.safetensors", "policy.safetensors", "tb"
+
+_WORST = -1e9
+"""Less than any mean reward."""
 
 
 def train_agent(config: TrainAgentConfig) -> Path:
@@ -41,19 +44,29 @@ def train_agent(config: TrainAgentConfig) -> Path:
     entry = load_hyperparameters(
         config.algo, config.env_id.rpartition(":")[2], config.hyperparameters
     )
+    if config.algo == GREEDY:
+        from .train_greedy import train_greedy
+
+        return train_greedy(config, entry)
     steps = config.steps or entry.get("n_timesteps", 0)
     n_envs = config.n_envs or entry.get("n_envs", 1)
     if not all(isinstance(value, int) and value > 0 for value in (steps, n_envs)):
         raise ValueError(f"n_timesteps and n_envs must be at least 1, got {steps} and {n_envs}")
+    arguments, replay = config.environment_arguments, config.bank is not None
+    learning, validating = split_bank(config) if replay else ({}, {})
     venv = make_vec_env(
-        functools.partial(_make_env, config.env_id, config.environment_arguments),
+        functools.partial(_make_env, config.env_id, arguments | learning),
         n_envs=n_envs,
         seed=config.seed,
-        vec_env_cls=DummyVecEnv if n_envs == 1 else SubprocVecEnv,
+        vec_env_cls=DummyVecEnv if n_envs == 1 or replay else SubprocVecEnv,
     )
     try:
         header = _header(config, entry, venv)
         model = _make_model(config, entry, venv)
+        callbacks: list[BaseCallback] = [_Checkpoints(header, config)]
+        if replay:
+            model.best_mean_reward = _WORST  # type: ignore[attr-defined]
+            callbacks.append(_validation(header, config, arguments | validating, n_envs))
         resumed = _resume(model, header, config)
         if resumed:
             print(f"Resuming {config.out} at step {model.num_timesteps} of {steps}.")
@@ -61,14 +74,14 @@ def train_agent(config: TrainAgentConfig) -> Path:
         if steps > start:
             model.learn(
                 steps - start,
-                callback=_Checkpoints(header, config),
+                callback=callbacks,
                 log_interval=1 if config.algo == "ppo" else 50,
                 tb_log_name=config.algo,
                 reset_num_timesteps=not resumed,
                 progress_bar=config.progress,
             )
         seconds = time.perf_counter() - began
-        save_agent(model, header, config.out)
+        save_agent(model, header, config.out, policy=not replay)
     finally:
         venv.close()
     _report(model, config, model.num_timesteps - start, seconds)
@@ -83,6 +96,7 @@ class _Checkpoints(BaseCallback):
         self._header = header
         self._out = config.out
         self._every = config.checkpoint_every
+        self._policy = config.bank is None  # else the best one so far is kept
         self._due: int | None = None
 
     def _on_rollout_start(self) -> None:
@@ -90,7 +104,7 @@ class _Checkpoints(BaseCallback):
         if self._due is not None and steps < self._due:
             return
         if self._due is not None:
-            save_agent(self.model, self._header, self._out)
+            save_agent(self.model, self._header, self._out, policy=self._policy)
         restart(self.model, self._header.seed)
         self._due = (steps // self._every + 1) * self._every
 
@@ -98,13 +112,74 @@ class _Checkpoints(BaseCallback):
         return True
 
 
-def save_agent(model: BaseAlgorithm, header: AgentHeader, out: Path) -> None:
-    """Writes the policy, then the checkpoint from which training can go on, into ``out``."""
+def save_agent(model: BaseAlgorithm, header: AgentHeader, out: Path, policy: bool = True) -> None:
+    """Writes the policy if asked, and the checkpoint from which training can go on."""
     header = replace(header, steps=model.num_timesteps)
-    tensors = state_tensors(model)
-    policy = {key: value for key, value in tensors.items() if key.startswith("policy/")}
-    write_agent(out / POLICY, header, policy)
-    write_agent(out / CHECKPOINT, replace(header, counters=counters(model)), tensors)
+    if policy:
+        save_policy(model, header, out)
+    write_agent(out / CHECKPOINT, replace(header, counters=counters(model)), state_tensors(model))
+
+
+def save_policy(model: BaseAlgorithm, header: AgentHeader, out: Path) -> None:
+    """Writes the policy as it is now into ``out``."""
+    weights = {f"policy/{key}": value for key, value in model.policy.state_dict().items()}
+    write_agent(out / POLICY, replace(header, steps=model.num_timesteps), weights)
+
+
+def split_bank(config: TrainAgentConfig) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Arguments of the replay environment for learning and for validation.
+
+    Raises:
+        ValueError: if there is no such bank, or it has too few scenes.
+    """
+    from ..envs.view_bank import read_bank
+
+    assert config.bank is not None
+    scenes = len(read_bank(config.bank))
+    if scenes <= config.validation:
+        raise ValueError(
+            f"{config.bank} has {scenes} scenes: too few to keep {config.validation} for "
+            "validation; record more, or pass a smaller --validation"
+        )
+    kept = scenes - config.validation
+    return {"scenes": (0, kept), "mirror": True}, {"scenes": (kept, scenes), "in_turn": True}
+
+
+class _Best(BaseCallback):
+    """Writes the policy that has just been found the best one."""
+
+    def __init__(self, header: AgentHeader, out: Path) -> None:
+        super().__init__()
+        self._header, self._out = header, out
+
+    def _on_step(self) -> bool:
+        assert isinstance(self.parent, EvalCallback)
+        self.model.best_mean_reward = float(self.parent.best_mean_reward)  # type: ignore[attr-defined]
+        save_policy(self.model, self._header, self._out)
+        return True
+
+
+class _Validation(EvalCallback):
+    """SB3's, which also knows what an earlier part of the run has reached."""
+
+    def _init_callback(self) -> None:
+        super()._init_callback()
+        self.best_mean_reward = self.model.best_mean_reward  # type: ignore[attr-defined]
+
+
+def _validation(
+    header: AgentHeader, config: TrainAgentConfig, arguments: dict[str, Any], n_envs: int
+) -> EvalCallback:
+    """Measures the policy on the validation scenes, and keeps the best one."""
+    make = functools.partial(_make_env, config.env_id, arguments)
+    return _Validation(
+        VecTransposeImage(make_vec_env(make, n_envs=1, seed=config.seed, vec_env_cls=DummyVecEnv)),
+        callback_on_new_best=_Best(header, config.out),
+        n_eval_episodes=config.validation,
+        eval_freq=max(1, config.evaluate_every // n_envs),
+        deterministic=True,
+        verbose=0,
+    )
 
 
 def _make_env(env_id: str, arguments: dict[str, Any]) -> gym.Env:

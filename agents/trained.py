@@ -14,9 +14,11 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.vec_env import VecTransposeImage
 
-from .baselines import Action
+from .baselines import Policy
 from .checkpoint import AgentHeader, check_tensors, describe_space, read_agent, subset
-from .hyperparameters import ALGORITHMS, check_hyperparameters, policy_kwargs
+from .greedy import GreedyPolicy, load_networks
+from .hyperparameters import ALGORITHMS, GREEDY, check_hyperparameters, policy_kwargs
+from .view_sphere import Action
 
 
 class TrainedPolicy:
@@ -41,12 +43,13 @@ class TrainedPolicy:
         return int(action) if isinstance(self._policy.action_space, spaces.Discrete) else action
 
 
-def load_policy(path: str | os.PathLike[str], env: gym.Env) -> TrainedPolicy:
+def load_policy(path: str | os.PathLike[str], env: gym.Env, name: str | None = None) -> Policy:
     """Loads what ``train-agent`` wrote, a ``policy.safetensors`` or a ``checkpoint.safetensors``.
 
     Args:
         path: the file.
         env: the environment it will act in.
+        name: what tables call it; by default the path.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -56,19 +59,26 @@ def load_policy(path: str | os.PathLike[str], env: gym.Env) -> TrainedPolicy:
     header, tensors = read_agent(path, prefix="policy/")
     check_hyperparameters(header.algo, header.hyperparameters)
     _check_spaces(header, env, path)
-    policy = _build(header, env)
     weights = subset(tensors, "policy/")
+    if header.algo == GREEDY:
+        networks = load_networks(header, channels_first(env), weights, f"agent file {path}")
+        return GreedyPolicy(networks, header, env, name or os.fspath(path))
+    policy = _build(header, env)
     check_tensors(weights, policy.state_dict(), f"agent file {path}")
     policy.load_state_dict(weights)
-    return TrainedPolicy(policy, header, os.fspath(path))
+    return TrainedPolicy(policy, header, name or os.fspath(path))
 
 
-def _build(header: AgentHeader, env: gym.Env) -> BasePolicy:
+def channels_first(env: gym.Env) -> spaces.Dict:
+    """The observation space as SB3 trains on it: images with channels first.
+
+    Raises:
+        ValueError: if it is no Dict.
+    """
     space = env.observation_space
     if not isinstance(space, spaces.Dict):
         raise ValueError(f"the environment's observation must be a Dict, got {space}")
-    # SB3 trains on images with channels first and turns those it is given.
-    turned = spaces.Dict(
+    return spaces.Dict(
         {
             key: VecTransposeImage.transpose_space(part)
             if isinstance(part, spaces.Box) and is_image_space(part)
@@ -76,6 +86,10 @@ def _build(header: AgentHeader, env: gym.Env) -> BasePolicy:
             for key, part in space.spaces.items()
         }
     )
+
+
+def _build(header: AgentHeader, env: gym.Env) -> BasePolicy:
+    turned = channels_first(env)
     policy_class: Any = ALGORITHMS[header.algo].policy_aliases["MultiInputPolicy"]
     with torch.random.fork_rng(devices=[]):  # its first random weights are not the caller's draws
         try:
@@ -97,7 +111,7 @@ def _check_spaces(header: AgentHeader, env: gym.Env, path: str | os.PathLike[str
         ("action", header.action_space),
     ):
         found = describe_space(getattr(env, f"{name}_space"))
-        if found != trained:
+        if found != trained and not (header.algo == GREEDY and name == "action"):
             here = env.spec.id if env.spec else type(env.unwrapped).__name__
             raise ValueError(
                 f"agent file {path} was trained on {header.env} with the {name} space {trained}; "

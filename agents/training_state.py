@@ -22,6 +22,7 @@ COUNTERS = (
     "num_timesteps",
     "_n_updates",
     "_episode_num",
+    "best_mean_reward",
     "_n_calls",
     "_current_progress_remaining",
     "exploration_rate",

@@ -26,7 +26,6 @@ from ..pose_estimator.geometry import (
     invert,
 )
 from ..pose_estimator.metrics import add_or_add_s
-from .camera import CameraRange
 from .carrier import Carrier, FreeFlyingCarrier, PoseNoise
 from .episode import Episode
 from .figure import Panel, comparison
@@ -38,9 +37,6 @@ from .renderer import SceneRenderer
 from .scene import Scene, SceneConfig
 from .sensor import apply_sensor
 from .window import Window
-
-CAMERA_RANGE = CameraRange()
-"""Where the camera may go around the object: 0.6 to 1.4 m, 7 to 82 degrees of elevation."""
 
 WORKSPACE_LOW, WORKSPACE_HIGH = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5, 0.4])
 """Where on the table the object can be at all (world, metres); bounds the view sphere's centre."""
@@ -131,6 +127,11 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         """The newest estimate, in the reference camera; None without an estimator."""
         estimates = self._running().estimates
         return estimates[-1] if estimates else None
+
+    @property
+    def travel_weight(self) -> float:
+        """Price of a metre of camera travel."""
+        return self._travel_weight
 
     @property
     def intrinsics(self) -> np.ndarray:

@@ -147,3 +147,7 @@ class CameraRange:
         straight = view_sphere_pose(centre, distance, azimuth, elevation)
         position = -straight[:3, :3].T @ straight[:3, 3]
         return look_at(position, centre + offset @ straight[:2, :3], roll)
+
+
+CAMERA_RANGE = CameraRange()
+"""Where the camera may go around the object: 0.6 to 1.4 m, 7 to 82 degrees of elevation."""

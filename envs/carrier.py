@@ -112,6 +112,13 @@ class FreeFlyingCarrier:
         return Motion(self._T_cam_world.copy(), travel)
 
 
+def angle_at(centre: np.ndarray, T_cam_world: np.ndarray, T_other_world: np.ndarray) -> float:
+    """Angle in degrees at ``centre`` (3,) between the directions to two cameras (4, 4)."""
+    first, last = camera_centre(T_cam_world) - centre, camera_centre(T_other_world) - centre
+    sine, cosine = np.linalg.norm(np.cross(first, last)), first @ last
+    return float(np.rad2deg(np.arctan2(sine, cosine)))
+
+
 def camera_centre(T_cam_world: np.ndarray) -> np.ndarray:
     """Where the camera is in the world, (3,), metres."""
     return invert(T_cam_world)[:3, 3]

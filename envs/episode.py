@@ -10,7 +10,7 @@ import numpy as np
 
 from ..pose_estimator.estimate import PoseEstimate
 from ..pose_estimator.geometry import View
-from .carrier import camera_centre
+from .carrier import angle_at
 
 
 @dataclass(eq=False)
@@ -63,11 +63,9 @@ class Episode:
 
     def baseline_deg(self, centre: np.ndarray) -> float:
         """Angle at ``centre`` (3,) between the directions to the first and the newest camera."""
-        first, last = (camera_centre(self.cameras[i]) - centre for i in (0, -1))
-        sine, cosine = np.linalg.norm(np.cross(first, last)), first @ last
-        return float(np.rad2deg(np.arctan2(sine, cosine)))
+        return angle_at(centre, self.cameras[0], self.cameras[-1])
 
 
 def episode_seed(seed: int, number: int) -> int:
-    """The seed of ``reset`` for episode ``number`` of a study of many, the same wherever it runs."""
+    """The seed of ``reset`` for episode ``number`` of a study, the same wherever it runs."""
     return int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])

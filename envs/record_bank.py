@@ -1,4 +1,4 @@
-"""The verb ``record-bank``: every candidate second view of many scenes, rendered and estimated once.
+"""The verb ``record-bank``: every candidate second view of many scenes, estimated once.
 
 Each scene is a file of its own until all are there, so a killed run goes on where it was; then they
 become one file. A scene depends on the seed and its number alone: neither the number of workers nor
@@ -28,7 +28,7 @@ Scene = Literal["linemod", "clutter", "occlusion", "heap"]
 
 @dataclass(frozen=True)
 class RecordBankConfig:
-    """Record what every candidate second view of many scenes leads to. Run it again after a kill."""
+    """Record what every second view of many scenes leads to. Run it again after a kill."""
 
     out: Path
     """The bank, an .npz file."""

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
-from .base import CAMERA_RANGE, ViewSelectionEnv
-from .camera import view_sphere_pose
-
-AZIMUTH_LIMIT = np.pi / 2
-"""Largest azimuth offset of the second view to either side, radians."""
+from .actions import box_view, candidate_view, check_candidates
+from .base import ViewSelectionEnv
+from .camera import CAMERA_RANGE, view_sphere_pose
 
 CANDIDATE_VIEWS: tuple[tuple[float, float], ...] = tuple(
     product((-90.0, -65.0, -40.0, -15.0, 15.0, 40.0, 65.0, 90.0), (20.0, 45.0, 70.0))
@@ -168,20 +165,9 @@ class TwoViewPoseEnv(ViewSelectionEnv):
         Raises:
             ValueError: if the action is NaN or not in the action space.
         """
-        try:
-            values = np.asarray(action, dtype=np.float32)
-        except (TypeError, ValueError) as error:
-            raise ValueError(
-                f"action must be three numbers from -1 to 1, got {action!r}"
-            ) from error
-        if values.shape != (3,) or not (np.abs(values) <= 1.0).all():
-            raise ValueError(f"action must be three numbers from -1 to 1, got {action!r}")
-        azimuth, elevation, distance = values.astype(np.float64)
+        azimuth, elevation, distance = box_view(action)
         return view_sphere_pose(
-            self.sphere_centre,
-            _between(CAMERA_RANGE.distance, distance),
-            self.reference_position.azimuth + azimuth * AZIMUTH_LIMIT,
-            _between(CAMERA_RANGE.elevation, elevation),
+            self.sphere_centre, distance, self.reference_position.azimuth + azimuth, elevation
         )
 
 
@@ -212,7 +198,7 @@ class TwoViewPoseDiscreteEnv(ViewSelectionEnv):
     def __init__(
         self, *, candidate_views: Sequence[tuple[float, float]] = CANDIDATE_VIEWS, **kwargs: Any
     ) -> None:
-        self._candidates = _check_candidates(candidate_views)
+        self._candidates = check_candidates(candidate_views)
         super().__init__(**kwargs)
 
     def make_action_space(self) -> spaces.Space[Any]:
@@ -228,13 +214,7 @@ class TwoViewPoseDiscreteEnv(ViewSelectionEnv):
         Raises:
             ValueError: if the action is not in the action space.
         """
-        count = len(self._candidates)
-        if isinstance(action, np.ndarray) and action.ndim == 0:
-            action = action.item()
-        whole = isinstance(action, Integral) and not isinstance(action, bool)
-        if not whole or not 0 <= int(action) < count:
-            raise ValueError(f"action must be an integer from 0 to {count - 1}, got {action!r}")
-        azimuth, elevation = self._candidates[int(action)]
+        azimuth, elevation = self._candidates[candidate_view(action, len(self._candidates))]
         reference = self.reference_position
         return view_sphere_pose(
             self.sphere_centre,
@@ -242,29 +222,3 @@ class TwoViewPoseDiscreteEnv(ViewSelectionEnv):
             reference.azimuth + azimuth,
             elevation,
         )
-
-
-def _between(limits: tuple[float, float], value: float) -> float:
-    """Maps -1 to 1 linearly onto the limits."""
-    low, high = limits
-    return float(low + (value + 1.0) / 2.0 * (high - low))
-
-
-def _check_candidates(candidates: Sequence[tuple[float, float]]) -> np.ndarray:
-    """Candidate views in radians, (N, 2).
-
-    Raises:
-        ValueError: if they are no list of (azimuth offset, elevation) in degrees within the range.
-    """
-    views = np.asarray(candidates, dtype=np.float64)
-    low, high = np.rad2deg(CAMERA_RANGE.elevation)
-    valid = views.ndim == 2 and views.shape[0] > 0 and views.shape[1] == 2
-    if valid:
-        valid = bool((np.abs(views[:, 0]) <= 180).all())
-        valid &= bool(((views[:, 1] >= low - 1e-9) & (views[:, 1] <= high + 1e-9)).all())
-    if not valid:
-        raise ValueError(
-            "candidate_views must be pairs of azimuth offset (-180 to 180 degrees) and elevation "
-            f"({low:.0f} to {high:.0f} degrees), got {candidates!r}"
-        )
-    return np.deg2rad(views)

@@ -7,7 +7,7 @@ from itertools import product
 import gymnasium as gym
 import numpy as np
 import pytest
-from two_view_pose.agents.baselines import BASELINES, make_policy
+from two_view_pose.agents.policies import BASELINES, make_policy
 from two_view_pose.envs.carrier import camera_centre
 
 ENVS = ("toy_env:ToySphere-v0", "toy_env:ToySphereDiscrete-v0")

@@ -14,9 +14,9 @@ import pytest
 import stable_baselines3 as sb3
 import torch
 from safetensors.torch import save_file
-from two_view_pose.agents.baselines import make_policy
 from two_view_pose.agents.checkpoint import read_agent, write_agent
 from two_view_pose.agents.config import TrainAgentConfig
+from two_view_pose.agents.policies import make_policy
 from two_view_pose.agents.train import CHECKPOINT, train_agent
 
 Make = Callable[..., TrainAgentConfig]

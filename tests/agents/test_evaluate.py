@@ -11,10 +11,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from scipy.stats import binomtest
-from two_view_pose.agents.baselines import BASELINES, make_policy
 from two_view_pose.agents.checkpoint import read_agent, write_agent
 from two_view_pose.agents.config import EvaluateAgentConfig, TrainAgentConfig
 from two_view_pose.agents.evaluate import FIRST_VIEW, evaluate_agents, run_episodes, wilson
+from two_view_pose.agents.policies import BASELINES, make_policy
 from two_view_pose.agents.train import train_agent
 from two_view_pose.pose_estimator.results import check_record, read_results
 

@@ -11,9 +11,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import tyro
-from two_view_pose.agents.baselines import BASELINES, make_policy
 from two_view_pose.agents.config import EvaluateAgentConfig, TrainAgentConfig
 from two_view_pose.agents.evaluate import FIRST_VIEW, evaluate_agents
+from two_view_pose.agents.policies import BASELINES, make_policy
 from two_view_pose.agents.train import train_agent
 from two_view_pose.pose_estimator.estimate import PoseEstimate
 from two_view_pose.pose_estimator.geometry import View

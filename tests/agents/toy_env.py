@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from two_view_pose.envs.base import CAMERA_RANGE
+from two_view_pose.envs.camera import CAMERA_RANGE
 from two_view_pose.envs.carrier import camera_centre
 from two_view_pose.envs.observation import SpherePosition
 from two_view_pose.envs.two_view_pose import (

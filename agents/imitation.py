@@ -1,0 +1,152 @@
+"""Trains the network of ``greedy-predicted`` on a bank: every candidate of every scene teaches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from torch import Tensor, nn
+from torch.nn import functional as F
+from tqdm import tqdm
+
+from ..envs.actions import check_candidates
+from ..envs.mirror import Mirror
+from ..envs.view_bank import ViewBank
+from .greedy import ErrorPredictor, make_networks, predicted_errors, view_features
+from .hyperparameters import GreedyHyperparameters
+
+SHIFT = 4
+"""Pixels by which a crop is shifted at most in training."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lessons:
+    """A bank as the network's inputs and answers.
+
+    Attributes:
+        observations: batch of all scenes, images uint8 (M, 3, S, S).
+        views: (M, N, 8).
+        errors: min(ADD(-S) / diameter, 1), (M, N).
+    """
+
+    observations: dict[str, Tensor]
+    views: Tensor
+    errors: Tensor
+
+    @classmethod
+    def of(cls, bank: ViewBank, mirrored: bool = False) -> Lessons:
+        """Reads a bank, or what it would be in a mirror."""
+        azimuth, elevation, reference = view_angles(bank)
+        first = bank.first
+        if mirrored:
+            mirror = Mirror(check_candidates(bank.header.candidate_views))
+            azimuth, first = -azimuth, mirror.observation(first)
+        observations = {k: torch.from_numpy(a.copy()) for k, a in first.items()}
+        observations["image"] = observations["image"].permute(0, 3, 1, 2).contiguous()
+        return cls(
+            observations,
+            torch.from_numpy(view_features(azimuth, elevation, reference)),
+            torch.from_numpy(np.minimum(bank.second_error, 1.0).astype(np.float32)),
+        )
+
+    def batch(self, rows: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor]:
+        """Some of the scenes, their images 0 to 1."""
+        observations = {key: value[rows] for key, value in self.observations.items()}
+        observations["image"] = observations["image"].float() / 255.0
+        return observations, self.views[rows], self.errors[rows]
+
+
+def train_networks(
+    bank: ViewBank,
+    observation_space: spaces.Dict,
+    hyperparameters: GreedyHyperparameters,
+    seed: int,
+    progress: bool = True,
+) -> nn.ModuleList:
+    """Trains the networks of one agent; the same arguments give the same weights.
+
+    Args:
+        bank: the scenes to learn from.
+        observation_space: images with channels first.
+        hyperparameters: see there.
+        seed: of first weights, order and augmentation.
+        progress: show a bar.
+    """
+    lessons = Lessons.of(bank), Lessons.of(bank, mirrored=True)
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(rng.integers(2**31)))
+        networks = make_networks(observation_space, vars(hyperparameters))
+        total = hyperparameters.epochs * len(networks)
+        with tqdm(total=total, unit="epoch", disable=not progress) as bar:
+            for network in networks:
+                for loss in _epochs(network, lessons, hyperparameters, rng):
+                    bar.set_postfix(loss=f"{loss:.3f}")
+                    bar.update()
+    return networks.eval()
+
+
+def _epochs(
+    network: ErrorPredictor,
+    lessons: tuple[Lessons, Lessons],
+    hyperparameters: GreedyHyperparameters,
+    rng: np.random.Generator,
+) -> Iterator[float]:
+    """Trains one network and yields the mean loss of each epoch."""
+    h, count = hyperparameters, len(lessons[0].errors)
+    optimizer = torch.optim.AdamW(
+        network.parameters(), lr=h.learning_rate, weight_decay=h.weight_decay
+    )
+    batches = -(-count // h.batch_size)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, h.epochs * batches)
+    network.train()
+    for _ in range(h.epochs):
+        total = 0.0
+        for rows in np.array_split(rng.permutation(count), batches):
+            chosen = lessons[int(rng.integers(2))]
+            observations, views, errors = chosen.batch(torch.from_numpy(rows))
+            observations["image"] = _disturbed(observations["image"], rng)
+            loss = F.binary_cross_entropy_with_logits(network(observations, views), errors)
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+            total += loss.item() * len(rows)
+        yield total / count
+
+
+def _disturbed(images: Tensor, rng: np.random.Generator) -> Tensor:
+    """Crops (B, 3, S, S) shifted a little, brighter or darker, with more contrast or less."""
+    shift = rng.integers(-SHIFT, SHIFT + 1, 2).tolist()
+    size = (len(images), 1, 1, 1)
+    contrast = torch.from_numpy(rng.uniform(0.8, 1.2, size).astype(np.float32))
+    brightness = torch.from_numpy(rng.normal(0.0, 0.1, size).astype(np.float32))
+    return (torch.roll(images, shift, (2, 3)) * contrast + brightness).clamp(0.0, 1.0)
+
+
+@torch.inference_mode()
+def chosen_slots(networks: nn.ModuleList, bank: ViewBank) -> np.ndarray:
+    """The slot of least predicted error in every scene of a bank, (M,)."""
+    observations, views, _ = Lessons.of(bank).batch(torch.arange(len(bank)))
+    return predicted_errors(networks, observations, views).argmin(dim=1).numpy()
+
+
+def view_angles(bank: ViewBank) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the recorded cameras are: azimuth from the reference's and elevation (M, N), radians.
+
+    Returns:
+        Both, and the elevation of the reference camera (M,).
+    """
+
+    def angles(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        centres = -np.einsum("...ji,...j->...i", T[..., :3, :3], T[..., :3, 3])
+        middle = bank.centre if T.ndim == 3 else bank.centre[:, None]
+        x, y, z = np.moveaxis(centres - middle, -1, 0)
+        return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+
+    azimuth, elevation = angles(bank.second_T_cam_world)
+    reference_azimuth, reference_elevation = angles(bank.T_cam_world)
+    return azimuth - reference_azimuth[:, None], elevation, reference_elevation

@@ -1,0 +1,230 @@
+"""What came of episodes, and the numbers that a results file says of them.
+
+Policies see the same scenes, so they are compared scene by scene: an interval of a difference
+resamples scenes, both policies' outcomes together (Efron and Tibshirani, *An Introduction to the
+Bootstrap*, chapter 8).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+STAY = "stay"
+"""The row for what the first view alone gives."""
+
+ORACLE, RULE = "oracle", "max-baseline"
+"""The best that any policy could do, and the rule that a trained one has to beat."""
+
+SUCCESS = 0.1
+"""An estimate is right if ADD(-S) is below this fraction of the object's diameter."""
+
+VISIBILITY_BINS = ((0.0, 0.4), (0.4, 0.7), (0.7, 0.9), (0.9, 1.01))
+"""Visible fractions of the target in the reference view, each up to but not including the next."""
+
+RESAMPLES = 2000
+
+Estimate = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one episode.
+
+    Attributes:
+        object_name: the target.
+        add_over_diameter: ADD(-S) of the final estimate over the object's diameter.
+        travel: camera travel, metres.
+        visibility: visible fraction of the target in the reference view; NaN where it is not known.
+        baseline_deg: angle between the reference view and the newest.
+        views: second views that were taken.
+    """
+
+    object_name: str
+    add_over_diameter: float
+    travel: float
+    visibility: float = math.nan
+    baseline_deg: float = 0.0
+    views: int = 1
+
+    @property
+    def capped(self) -> float:
+        """ADD(-S) over the diameter, 1 where it is more: what the reward counts."""
+        return min(self.add_over_diameter, 1.0)
+
+
+def outcome_of(info: Mapping[str, Any], key: str, views: int) -> Outcome:
+    """Reads the info of an environment; ``key`` is ``add_first`` or ``add_second``."""
+    truth = info["ground_truth"]
+    return Outcome(
+        object_name=str(info["object"]),
+        add_over_diameter=float(truth[key]) / float(info["diameter"]),
+        travel=float(info["travel"]),
+        visibility=float(truth.get("visibility", math.nan)),
+        baseline_deg=float(info.get("baseline_deg", 0.0)),
+        views=views,
+    )
+
+
+def make_records(outcomes: Mapping[str, Sequence[Outcome]], scene: str) -> list[dict[str, Any]]:
+    """The numbers of a results file, with 95 percent intervals over scenes.
+
+    Over all objects (``object`` is ``mean``), for each object, and for each bin of visibility
+    (``visibility`` is its lower end); then every policy against ``max-baseline``, scene by scene.
+    """
+    records = []
+    for policy, results in outcomes.items():
+        names = sorted({result.object_name for result in results})
+        for name in ["mean", *names]:
+            chosen = [result for result in results if name in ("mean", result.object_name)]
+            records += _records(chosen, {"policy": policy, "scene": scene, "object": name})
+        for low, high in VISIBILITY_BINS:
+            chosen = [result for result in results if low <= result.visibility < high]
+            tags = {"policy": policy, "scene": scene, "object": "mean", "visibility": low}
+            records += _records(chosen, tags) if chosen else []
+    return records + _comparisons(outcomes, scene)
+
+
+def _records(results: Sequence[Outcome], tags: Mapping[str, Any]) -> list[dict[str, Any]]:
+    return [
+        {
+            "metric": metric,
+            "value": value,
+            "unit": unit,
+            **tags,
+            "n": len(results),
+            "low": low,
+            "high": high,
+        }
+        for metric, unit, (value, low, high) in statistics(results)
+    ]
+
+
+def statistics(results: Sequence[Outcome]) -> list[tuple[str, str, Estimate]]:
+    """Metric, unit and (value, low, high) of each."""
+    errors = np.array([result.add_over_diameter for result in results])
+    return [
+        ("add_s_recall", "1", wilson(int((errors < SUCCESS).sum()), len(errors))),
+        ("add_over_diameter", "1", mean_interval(errors)),
+        ("capped_add_over_diameter", "1", mean_interval(np.minimum(errors, 1.0))),
+        ("travel", "m", mean_interval(np.array([result.travel for result in results]))),
+        ("second_views", "1", mean_interval(np.array([float(r.views) for r in results]))),
+    ]
+
+
+def _comparisons(outcomes: Mapping[str, Sequence[Outcome]], scene: str) -> list[dict[str, Any]]:
+    """Every policy against ``max-baseline``, and how much of its way to the oracle it has gone."""
+    if RULE not in outcomes:
+        return []
+    capped = {name: np.array([r.capped for r in results]) for name, results in outcomes.items()}
+    right = {
+        name: np.array([r.add_over_diameter < SUCCESS for r in results], dtype=float)
+        for name, results in outcomes.items()
+    }
+    count = len(capped[RULE])
+    times = _resamples(count)
+    records = []
+    for policy in outcomes:
+        tags = {"policy": policy, "scene": scene, "object": "mean", "against": RULE, "n": count}
+        found = {
+            "add_s_recall_difference": _paired(right[policy] - right[RULE], times),
+            "capped_difference": _paired(capped[policy] - capped[RULE], times),
+        }
+        if ORACLE in outcomes:
+            closed = gap_closed(capped[policy], capped[RULE], capped[ORACLE], times)
+            found |= {"gap_closed": closed} if closed is not None else {}
+            found["regret"] = _paired(capped[policy] - capped[ORACLE], times)
+        records += [
+            {"metric": metric, "value": value, "unit": "1", **tags, "low": low, "high": high}
+            for metric, (value, low, high) in found.items()
+        ]
+    return records
+
+
+def gap_closed(
+    policy: np.ndarray, rule: np.ndarray, oracle: np.ndarray, times: np.ndarray | None = None
+) -> Estimate | None:
+    """Share of the gap in mean error from a rule to the oracle that a policy closes.
+
+    Args:
+        policy, rule, oracle: capped errors on the same scenes, (M,).
+        times: how often each resample draws each scene, (R, M); None: drawn here.
+
+    Returns:
+        Value and 95 percent interval; None where rule and oracle are the same.
+    """
+    times = _resamples(len(policy)) if times is None else times
+    gap = rule.mean() - oracle.mean()
+    if gap < 1e-9:
+        return None
+    gaps = times @ (rule - oracle)
+    shares = (times @ (rule - policy))[gaps > 0] / gaps[gaps > 0]
+    low, high = np.quantile(shares, (0.025, 0.975))
+    return float((rule.mean() - policy.mean()) / gap), float(low), float(high)
+
+
+def _resamples(count: int) -> np.ndarray:
+    """How often each resample draws each scene, (R, count)."""
+    return np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), RESAMPLES)
+
+
+def _paired(differences: np.ndarray, times: np.ndarray) -> Estimate:
+    low, high = np.quantile(times @ differences / len(differences), (0.025, 0.975))
+    return float(differences.mean()), float(low), float(high)
+
+
+def wilson(successes: int, n: int, z: float = 1.959964) -> Estimate:
+    """A fraction and its 95 percent interval (Wilson, 1927), which stays within 0 and 1."""
+    fraction = successes / n
+    centre = (fraction + z * z / (2 * n)) / (1 + z * z / n)
+    half = z / (1 + z * z / n) * math.sqrt(fraction * (1 - fraction) / n + z * z / (4 * n * n))
+    return fraction, max(0.0, centre - half), min(1.0, centre + half)
+
+
+def mean_interval(values: np.ndarray, z: float = 1.959964) -> Estimate:
+    """A mean and its 95 percent interval by the normal approximation."""
+    mean = float(values.mean())
+    half = z * float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else 0.0
+    return mean, mean - half, mean + half
+
+
+def print_table(outcomes: Mapping[str, Sequence[Outcome]], title: str) -> None:
+    """Prints one row a policy."""
+    table = Table(title=title)
+    several = any(result.views > 1 for results in outcomes.values() for result in results)
+    closed = RULE in outcomes and ORACLE in outcomes
+    columns = [
+        "policy",
+        "ADD(-S) < 0.1 d",
+        "min(ADD(-S)/d, 1)",
+        *(["gap closed"] if closed else []),
+    ]
+    for column in [*columns, "travel", *(["second views"] if several else []), "n"]:
+        table.add_column(column, justify="left" if column == "policy" else "right")
+    capped = {name: np.array([r.capped for r in results]) for name, results in outcomes.items()}
+    for policy, results in outcomes.items():
+        (_, _, recall), _, (_, _, error), (_, _, travel), (_, _, views) = statistics(results)
+        cells = [
+            short(policy),
+            f"{100 * recall[0]:.1f} % ({100 * recall[1]:.1f} to {100 * recall[2]:.1f})",
+            f"{error[0]:.3f} ({error[1]:.3f} to {error[2]:.3f})",
+        ]
+        if closed:
+            share = gap_closed(capped[policy], capped[RULE], capped[ORACLE])
+            cells.append("" if share is None or policy == STAY else f"{100 * share[0]:.0f} %")
+        cells += [f"{travel[0]:.2f} m", *([f"{views[0]:.2f}"] if several else [])]
+        table.add_row(*cells, str(len(results)))
+    Console().print(table)
+
+
+def short(name: str) -> str:
+    """What tables and figures call a policy: of a file the folder that it is in."""
+    path = Path(name)
+    return path.parent.name if path.suffix == ".safetensors" and path.parent.name else name

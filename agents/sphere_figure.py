@@ -1,0 +1,111 @@
+"""View spheres seen from above: the true error of every candidate, and what policies chose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..envs.view_bank import ViewBank
+from ..pose_estimator.study_figures import INK, new_figure
+from .outcomes import ORACLE, RULE, Outcome, short
+from .policies import BASELINES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SCENES = 6
+_MARKS = ("o", "s", "D", "h")
+
+
+def view_spheres(
+    bank: ViewBank, outcomes: Mapping[str, Sequence[Outcome]], count: int = SCENES
+) -> Figure:
+    """Scenes in which the choice mattered, spread over the visibilities.
+
+    The reference camera (blue) is at the bottom; the middle of the half circle is straight above
+    the object, the rim the table's plane. A dot is a candidate view, red where it fails.
+
+    Args:
+        bank: the recorded views.
+        outcomes: of policies on its scenes, in order; their choices are found by the error.
+        count: how many scenes.
+    """
+    scenes = _telling(bank, count)
+    figure = new_figure(2.9 * len(scenes), 5.6)
+    marked = [RULE, *(name for name in outcomes if name not in BASELINES), ORACLE]
+    names = [name for name in marked if name in outcomes][: len(_MARKS)]
+    for column, scene in enumerate(scenes):
+        picture = figure.add_subplot(2, len(scenes), column + 1)
+        picture.imshow(bank.first["image"][scene], interpolation="nearest")
+        picture.set_axis_off()
+        name = bank.header.object_names[int(bank.object_index[scene])]
+        picture.set_title(
+            f"{name}, {100 * bank.visibility[scene]:.0f} % visible", fontsize=10, color=INK
+        )
+        axis: Any = figure.add_subplot(2, len(scenes), len(scenes) + column + 1, projection="polar")
+        dots = _draw_sphere(axis, bank, scene)
+        for mark, policy in zip(_MARKS, names, strict=False):
+            slot = _slot_of(bank, scene, outcomes[policy][scene])
+            if slot is not None:
+                azimuth, elevation = _places(bank, scene)
+                axis.plot(
+                    azimuth[slot], 90 - np.degrees(elevation[slot]), mark, fillstyle="none",
+                    color=INK, markersize=9 + 3 * _MARKS.index(mark), markeredgewidth=1.2,
+                    label=short(policy),
+                )  # fmt: skip
+    handles, labels = axis.get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, fontsize=9
+    )
+    bar = figure.colorbar(dots, ax=figure.axes[1::2], shrink=0.8)
+    bar.set_label("ADD(-S) / diameter", fontsize=9)
+    return figure
+
+
+def _draw_sphere(axis: Any, bank: ViewBank, scene: int) -> Any:
+    azimuth, elevation = _places(bank, scene)
+    axis.set_theta_zero_location("S")
+    axis.set_thetalim(-np.pi / 2 - 0.1, np.pi / 2 + 0.1)
+    axis.set_rlim(0, 90)
+    axis.set_rticks([20, 45, 70], labels=["70°", "45°", "20°"], fontsize=7, color="#8c959f")
+    axis.set_xticks([])
+    axis.grid(True, color="#e6e9ed")
+    axis.spines["polar"].set_color("#d0d7de")
+    errors = np.minimum(bank.second_error[scene], 0.3)
+    dots = axis.scatter(
+        azimuth, 90 - np.degrees(elevation), c=errors, s=48, cmap="RdYlGn_r", vmin=0, vmax=0.3,
+        zorder=3,
+    )  # fmt: skip
+    reference = _elevation(bank.T_cam_world[scene], bank.centre[scene])
+    axis.plot(0, 90 - np.degrees(reference), "o", color="#0969da", markersize=6, zorder=4)
+    return dots
+
+
+def _places(bank: ViewBank, scene: int) -> tuple[np.ndarray, np.ndarray]:
+    """Azimuth from the reference camera's and elevation of every candidate, radians."""
+    from .imitation import view_angles
+
+    azimuth, elevation, _ = view_angles(bank.part(slice(scene, scene + 1)))
+    return azimuth[0], elevation[0]
+
+
+def _elevation(T_cam_world: np.ndarray, centre: np.ndarray) -> float:
+    x, y, z = -T_cam_world[:3, :3].T @ T_cam_world[:3, 3] - centre
+    return float(np.arctan2(z, np.hypot(x, y)))
+
+
+def _slot_of(bank: ViewBank, scene: int, outcome: Outcome) -> int | None:
+    """The candidate that led to an outcome."""
+    differences = np.abs(bank.second_error[scene] - outcome.add_over_diameter)
+    slot = int(differences.argmin())
+    return slot if differences[slot] < 1e-5 else None
+
+
+def _telling(bank: ViewBank, count: int) -> list[int]:
+    """Scenes whose candidates differ most, one of each stretch of visibilities."""
+    order = np.argsort(bank.visibility, kind="stable")
+    spread = np.minimum(bank.second_error, 0.3).std(axis=1)
+    parts = np.array_split(order, min(count, len(order)))
+    return [int(part[np.argmax(spread[part])]) for part in parts]

@@ -1,0 +1,81 @@
+"""``train-agent --algo greedy``: from a bank to the file of a trained agent."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from ..envs.view_bank import ViewBank
+from ..pose_estimator.results import write_results
+from .checkpoint import AgentHeader, describe_space, write_agent
+from .config import TrainAgentConfig
+from .hyperparameters import GREEDY, GreedyHyperparameters
+from .imitation import chosen_slots, train_networks
+from .train import POLICY, split_bank
+from .trained import channels_first
+
+
+def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
+    """Trains the networks that predict errors, and says how they do on the validation scenes.
+
+    It takes minutes, so it is not resumed: the same command begins anew and ends the same.
+
+    Args:
+        config: see `TrainAgentConfig`.
+        entry: its hyper-parameters.
+
+    Returns:
+        The file of the trained policy.
+    """
+    hyperparameters = GreedyHyperparameters(**entry)
+    learning, validating = split_bank(config)
+    env = gym.make(config.env_id, **config.environment_arguments)
+    bank: ViewBank = env.unwrapped.bank  # type: ignore[attr-defined]
+    began = time.perf_counter()
+    networks = train_networks(
+        bank.part(slice(*learning["scenes"])),
+        channels_first(env),
+        hyperparameters,
+        config.seed,
+        config.progress,
+    )
+    seconds = time.perf_counter() - began
+    header = AgentHeader(
+        algo=GREEDY,
+        env=config.env_id,
+        env_kwargs=config.environment_arguments,
+        hyperparameters=vars(hyperparameters),
+        n_envs=1,
+        seed=config.seed,
+        checkpoint_every=config.checkpoint_every,
+        steps=hyperparameters.epochs * hyperparameters.networks,
+        observation_space=describe_space(env.observation_space),
+        action_space=describe_space(env.action_space),
+    )
+    weights = {f"policy/{key}": value for key, value in networks.state_dict().items()}
+    path = config.out / POLICY
+    write_agent(path, header, weights)
+    kept = bank.part(slice(*validating["scenes"]))
+    errors = kept.second_error[np.arange(len(kept)), chosen_slots(networks, kept)]
+    recall, capped = float(np.mean(errors < 0.1)), float(np.minimum(errors, 1.0).mean())
+    print(f"Saved {path} after {seconds:.0f} s.")
+    print(
+        f"Validation, {len(kept)} scenes: ADD(-S) < 0.1 d {recall:.1%}, mean capped error "
+        f"{capped:.3f}"
+    )
+    if config.json is not None:
+        tags = {"policy": os.fspath(path), "algo": GREEDY, "scene": bank.header.scene}
+        tags |= {"n": len(kept)}
+        records = [
+            {"metric": "add_s_recall", "value": recall, "unit": "1", **tags},
+            {"metric": "capped_add_over_diameter", "value": capped, "unit": "1", **tags},
+            {"metric": "training_time", "value": seconds, "unit": "s", **tags},
+        ]
+        command = f"train-agent --algo greedy --bank {config.bank} --out {config.out}"
+        write_results(config.json, records, command=command, seed=config.seed)
+    return path

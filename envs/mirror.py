@@ -1,0 +1,44 @@
+"""Scenes in a mirror: what is seen on the left is on the right, and so are the views to take.
+
+The best second view of a mirrored scene is the mirrored one. The mirrored object is not quite an
+object of the set, but most of them are nearly symmetric, and a policy that learns from a thousand
+scenes gains more from seeing each twice than it loses.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .observation import Observation
+
+
+class Mirror:
+    """Mirrors observations left to right, and the numbers of candidate views with them.
+
+    Args:
+        candidates: (N, 2) azimuth offset and elevation, radians.
+
+    Attributes:
+        slots: (N,) number of the mirrored view of each.
+
+    Raises:
+        ValueError: if a candidate has no mirrored one.
+    """
+
+    def __init__(self, candidates: np.ndarray) -> None:
+        mirrored = candidates * (-1, 1)
+        distances = np.linalg.norm(mirrored[:, None] - candidates[None], axis=2)
+        if distances.min(axis=1).max() > 1e-6:
+            raise ValueError("mirror needs candidate views that are the same to the left and right")
+        self.slots = distances.argmin(axis=1)
+
+    def observation(self, observation: Observation) -> Observation:
+        """The observation of the mirrored scene; also of a batch of them (..., n)."""
+        flipped = dict(observation)
+        flipped["image"] = observation["image"][..., ::-1, :].copy()
+        flipped["translation"] = observation["translation"] * np.float32([-1, 1, 1])
+        # S R S with S = diag(-1, 1, 1): the two columns are kept one after the other.
+        flipped["rotation"] = observation["rotation"] * np.float32([1, -1, -1, -1, 1, 1])
+        # distance, sine and cosine of elevation, of azimuth, of roll
+        flipped["camera"] = observation["camera"] * np.float32([1, 1, 1, -1, 1, -1, 1])
+        return flipped

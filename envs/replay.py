@@ -1,0 +1,281 @@
+"""The decision of Two-View Pose over recorded views: nothing is rendered, nothing estimated."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any, Literal
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+
+from ..pose_estimator.estimate import PoseEstimate
+from .actions import box_view, candidate_view, check_candidates
+from .camera import view_sphere_pose
+from .carrier import angle_at, camera_centre
+from .mirror import Mirror
+from .observation import Observation, SpherePosition, observation_space
+from .view_bank import ViewBank, read_bank
+
+_METRE = np.deg2rad(60.0)
+"""How many radians between directions a metre of distance counts as where a Box action is matched
+to a recorded view."""
+
+
+class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
+    """`TwoViewPoseDiscrete-v0` (or `TwoViewPose-v0`) over a bank that `record-bank` wrote.
+
+    ## Description
+
+    The same observations, actions, rewards and infos as in the live environments, at thousands of
+    steps a second: what every candidate view led to has been recorded. A bank can be of simulated
+    scenes or of real photographs, so that a policy that was trained in simulation is evaluated on
+    photographs unchanged.
+
+    ```python
+    env = gym.make("two_view_pose:TwoViewPoseReplay-v0", bank="bank.npz")
+    ```
+
+    ## Action Space
+
+    With `action="discrete"`, that of `TwoViewPoseDiscrete-v0`: the number of a candidate view. With
+    `action="box"`, that of `TwoViewPose-v0`; the recorded view is taken that is nearest in
+    direction from the object and distance.
+
+    ## Starting State
+
+    A scene of the bank, drawn from the seed; `reset(options={"scene": 17})` asks for one.
+
+    ## Arguments
+
+    | Argument        | Default      | Meaning                                                    |
+    |-----------------|--------------|------------------------------------------------------------|
+    | `bank`          |              | a file, or a `ViewBank`                                    |
+    | `action`        | `"discrete"` | or `"box"`                                                 |
+    | `travel_weight` | 0.05         | price of a metre of camera travel                          |
+    | `scenes`        | None         | (first, end): only these scenes of the bank                |
+    | `mirror`        | False        | show every second scene in a mirror: twice as many to      |
+    |                 |              | learn from                                                 |
+    | `in_turn`       | False        | one scene after the other instead of drawn ones            |
+
+    ## Version History
+
+    * v0: first release
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (declared so by Gymnasium)
+
+    def __init__(
+        self,
+        *,
+        bank: str | os.PathLike[str] | ViewBank,
+        action: Literal["discrete", "box"] = "discrete",
+        travel_weight: float = 0.05,
+        scenes: tuple[int, int] | None = None,
+        mirror: bool = False,
+        in_turn: bool = False,
+        render_mode: str | None = None,
+    ) -> None:
+        if action not in ("discrete", "box"):
+            raise ValueError(f"action must be discrete or box, got {action!r}")
+        if not (np.isfinite(travel_weight) and travel_weight >= 0):
+            raise ValueError(f"travel_weight must be a number of at least 0, got {travel_weight}")
+        self.render_mode = render_mode
+        self.bank = bank if isinstance(bank, ViewBank) else _read(os.fspath(bank))
+        first, end = (0, len(self.bank)) if scenes is None else scenes
+        if not 0 <= first < end <= len(self.bank):
+            raise ValueError(f"scenes must lie within 0 to {len(self.bank)}, got {scenes}")
+        self._scenes = range(first, end)
+        self._in_turn, self._next = in_turn, 0
+        self._travel_weight = float(travel_weight)
+        self._candidates = check_candidates(self.bank.header.candidate_views)
+        self._mirror = Mirror(self._candidates) if mirror else None
+        image_size = self.bank.first["image"].shape[1]
+        self.observation_space = observation_space(len(self.object_names), image_size)
+        self.action_space: spaces.Space[Any] = (
+            spaces.Discrete(self.bank.slots)
+            if action == "discrete"
+            else spaces.Box(-1.0, 1.0, (3,), np.float32)
+        )
+        self._scene: int | None = None
+        self._mirrored = self._ended = False
+
+    @property
+    def object_names(self) -> tuple[str, ...]:
+        """The objects, in the order of the observation's one-hot."""
+        return self.bank.header.object_names
+
+    @property
+    def scene(self) -> int:
+        """Number of the running episode's scene in the bank."""
+        if self._scene is None:
+            raise ResetNeeded("there is no episode yet: call reset() first")
+        return self._scene
+
+    @property
+    def estimate(self) -> PoseEstimate:
+        """The estimate from the reference view."""
+        bank, i = self.bank, self.scene
+        return PoseEstimate(
+            T_cam_obj=bank.T_cam_obj[i].copy(),
+            keypoints=bank.keypoints[i].astype(np.float64),
+            keypoint_covariance=bank.covariance[i].astype(np.float64),
+        )
+
+    @property
+    def travel_weight(self) -> float:
+        """Price of a metre of camera travel."""
+        return self._travel_weight
+
+    @property
+    def intrinsics(self) -> np.ndarray:
+        """The camera matrix of the reference view, (3, 3)."""
+        return self.bank.K[self.scene].copy()
+
+    @property
+    def T_cam_world(self) -> np.ndarray:
+        """The reference camera, (4, 4)."""
+        return self.bank.T_cam_world[self.scene].copy()
+
+    @property
+    def sphere_centre(self) -> np.ndarray:
+        """The middle of the view sphere, (3,), world."""
+        return self.bank.centre[self.scene].copy()
+
+    @property
+    def reference_position(self) -> SpherePosition:
+        """The reference camera as seen from the middle of the view sphere."""
+        return SpherePosition.of(self.T_cam_world, self.sphere_centre)
+
+    def camera_pose(self, action: Any) -> np.ndarray:
+        """The recorded camera that an action would choose: T_cam_world (4, 4).
+
+        Raises:
+            ValueError: if the action is not in the action space.
+        """
+        return self.bank.second_T_cam_world[self.scene, self._slot(action)].copy()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Draws a scene of the bank.
+
+        Args:
+            seed: starts the environment's random numbers anew.
+            options: ``scene``, the number of one in the bank.
+
+        Raises:
+            ValueError: if there is no such scene or option.
+        """
+        super().reset(seed=seed)
+        drawn = self._scenes[int(self.np_random.integers(len(self._scenes)))]
+        if self._in_turn:
+            drawn, self._next = self._scenes[self._next], (self._next + 1) % len(self._scenes)
+        self._scene = _asked_scene(options, self._scenes, drawn)
+        self._mirrored = self._mirror is not None and bool(self.np_random.integers(2))
+        self._ended = False
+        observation = {key: array[self._scene].copy() for key, array in self.bank.first.items()}
+        return self._shown(observation), self._info(None)
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Takes a recorded second view; the episode ends.
+
+        Raises:
+            ValueError: if the action is NaN or out of the action space.
+            ResetNeeded: if the episode has ended.
+        """
+        scene, bank = self.scene, self.bank
+        if self._ended:
+            raise ResetNeeded("the episode ended with its second view: call reset() first")
+        slot = self._slot(action)
+        self._ended = True
+        fixed = {key: bank.first[key][scene].copy() for key in ("object", "image")}
+        observation = fixed | {k: array[scene, slot].copy() for k, array in bank.second.items()}
+        observation = {key: observation[key] for key in bank.first}
+        error, travel = float(bank.second_error[scene, slot]), float(bank.travel[scene, slot])
+        reward = -min(error, 1.0) - self._travel_weight * travel
+        return self._shown(observation), reward, True, False, self._info(slot)
+
+    def peek(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """What ``step(action)`` would return now; the episode stays as it is."""
+        outcome = self.step(action)
+        self._ended = False
+        return outcome
+
+    def _shown(self, observation: Observation) -> Observation:
+        if self._mirrored:
+            assert self._mirror is not None
+            return self._mirror.observation(observation)
+        return observation
+
+    def _slot(self, action: Any) -> int:
+        """The recorded view that an action means in the running scene."""
+        if isinstance(self.action_space, spaces.Discrete):
+            slot = candidate_view(action, self.bank.slots)
+            return int(self._mirror.slots[slot]) if self._mirror and self._mirrored else slot
+        azimuth, elevation, distance = box_view(action)
+        if self._mirrored:
+            azimuth = -azimuth
+        wanted = view_sphere_pose(
+            self.sphere_centre, distance, self.reference_position.azimuth + azimuth, elevation
+        )
+        offset = camera_centre(wanted) - self.sphere_centre
+        offsets = self._camera_centres() - self.sphere_centre
+        distances = np.linalg.norm(offsets, axis=1)
+        cosine = (offsets @ offset) / (distances * np.linalg.norm(offset))
+        angle = np.arccos(np.clip(cosine, -1, 1))
+        return int(np.argmin(angle + _METRE * np.abs(distances - distance)))
+
+    def _camera_centres(self) -> np.ndarray:
+        T = self.bank.second_T_cam_world[self.scene]
+        return -np.einsum("nji,nj->ni", T[:, :3, :3], T[:, :3, 3])
+
+    def _info(self, slot: int | None) -> dict[str, Any]:
+        bank, scene = self.bank, self.scene
+        index = int(bank.object_index[scene])
+        diameter = bank.header.diameters[index]
+        first, travel, baseline = float(bank.first_error[scene]) * diameter, 0.0, 0.0
+        T_cam_world, T_cam_obj = bank.T_cam_world[scene], bank.T_cam_obj[scene]
+        truth: dict[str, Any] = {"visibility": float(bank.visibility[scene]), "add_first": first}
+        truth["success"] = bool(first < 0.1 * diameter)
+        if slot is not None:
+            error = float(bank.second_error[scene, slot])
+            truth |= {"add_second": error * diameter, "success": error < 0.1}
+            travel = float(bank.travel[scene, slot])
+            T_cam_world = bank.second_T_cam_world[scene, slot]
+            T_cam_obj = bank.second_T_cam_obj[scene, slot]
+            baseline = angle_at(self.sphere_centre, bank.T_cam_world[scene], T_cam_world)
+        return {
+            "object": self.object_names[index],
+            "diameter": diameter,
+            "scene_seed": int(bank.scene_seed[scene]),
+            "T_cam_world": T_cam_world.copy(),
+            "T_cam_obj": T_cam_obj.copy(),
+            "travel": travel,
+            "baseline_deg": baseline,
+            "ground_truth": truth,
+        }
+
+
+@lru_cache(maxsize=4)
+def _read(path: str) -> ViewBank:
+    """Reads a bank once a process, for all environments over it."""
+    return read_bank(path)
+
+
+def _asked_scene(options: Mapping[str, Any] | None, scenes: range, drawn: int) -> int:
+    """The scene that the options of ``reset`` ask for, else the drawn one."""
+    unknown = sorted(set(options or {}) - {"scene"})
+    if unknown:
+        raise ValueError(f"unknown reset option(s) {unknown}; allowed is scene")
+    if not options:
+        return drawn
+    scene = options["scene"]
+    if scene not in scenes:
+        raise ValueError(
+            f"scene must be a number from {scenes.start} to {scenes.stop - 1}, got {scene!r}"
+        )
+    return int(scene)
