@@ -13,6 +13,10 @@ register(
     vector_entry_point="two_view_pose.envs.vector:make_two_view_pose",
 )
 register(
+    id="TwoViewPoseSequential-v0",
+    entry_point="two_view_pose.envs.sequential:TwoViewPoseSequentialEnv",
+)
+register(
     id="TwoViewPoseReplay-v0", entry_point="two_view_pose.envs.replay:TwoViewPoseReplayEnv"
 )
 register(

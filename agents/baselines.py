@@ -26,6 +26,7 @@ from .view_sphere import (
     check_space,
     check_view_sphere,
     direction,
+    view_actions,
     view_directions,
 )
 
@@ -66,12 +67,14 @@ class StayPolicy:
 
 
 class RandomPolicy:
-    """Every action is as likely as every other."""
+    """Every view is as likely as every other."""
 
     name = "random"
 
     def __init__(self, env: gym.Env) -> None:
         self._space = check_space(env.action_space)
+        # The action that stops is no view.
+        self._views = getattr(env.unwrapped, "stop_action", getattr(self._space, "n", 0))
         self._rng = np.random.default_rng(0)
 
     def reset(self, rng: np.random.Generator) -> None:
@@ -81,7 +84,7 @@ class RandomPolicy:
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
         """Draws an action."""
         if isinstance(self._space, spaces.Discrete):
-            return int(self._space.start + self._rng.integers(self._space.n))
+            return int(self._space.start + self._rng.integers(self._views))
         low, high = self._space.low, self._space.high
         return self._rng.uniform(low, high).astype(self._space.dtype)
 
@@ -104,7 +107,7 @@ class FixedPolicy:
             return box_action(self._env, FIXED_AZIMUTH, elevation)
         azimuth = self._env.reference_position.azimuth + FIXED_AZIMUTH
         wanted = direction(azimuth, elevation)
-        return _best(self._env, range(self._env.action_space.n), lambda d: -angle(d, wanted))
+        return _best(self._env, view_actions(self._env), lambda d: -angle(d, wanted))
 
     def elevation(self) -> float:
         """The elevation to look from, radians."""
@@ -144,7 +147,7 @@ class MaxBaselinePolicy:
             corners = product((AZIMUTH_LIMIT, -AZIMUTH_LIMIT), CAMERA_RANGE.elevation)
             actions: Any = [box_action(self._env, *corner) for corner in corners]
         else:
-            actions = range(self._env.action_space.n)
+            actions = view_actions(self._env)
         seen_from = direction(reference.azimuth, reference.elevation)
         return _best(self._env, actions, lambda d: angle(d, seen_from))
 

@@ -46,6 +46,7 @@ class GreedyHyperparameters:
         weight_decay: of AdamW.
         features_dim, width, dropout: of each network, see :class:`ViewExtractor`.
         networks: how many networks answer together.
+        sure: probability of a right pose from which on the agent stops, where it may.
     """
 
     epochs: int = 60
@@ -56,6 +57,7 @@ class GreedyHyperparameters:
     width: int = 12
     dropout: float = 0.3
     networks: int = 4
+    sure: float = 0.85
 
 
 POLICY_KWARGS = frozenset(

@@ -8,17 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from gymnasium import spaces
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional as F
 from tqdm import tqdm
 
 from ..envs.actions import check_candidates
 from ..envs.mirror import Mirror
 from ..envs.view_bank import ViewBank
-from .greedy import ErrorPredictor, make_networks, predicted_errors, view_features
+from .greedy import ErrorPredictor, GreedyAgent, crop_spans, view_features
 from .hyperparameters import GreedyHyperparameters
+from .judge import train_judge
 
-SHIFT = 4
+SHIFT = 2
 """Pixels by which a crop is shifted at most in training."""
 
 
@@ -39,16 +40,15 @@ class Lessons:
     @classmethod
     def of(cls, bank: ViewBank, mirrored: bool = False) -> Lessons:
         """Reads a bank, or what it would be in a mirror."""
-        azimuth, elevation, reference = view_angles(bank)
         first = bank.first
         if mirrored:
-            mirror = Mirror(check_candidates(bank.header.candidate_views))
-            azimuth, first = -azimuth, mirror.observation(first)
+            first = Mirror(check_candidates(bank.header.candidate_views)).observation(first)
+        views = view_features(bank.T_cam_world, bank.centre, bank.second_T_cam_world, mirrored)
         observations = {k: torch.from_numpy(a.copy()) for k, a in first.items()}
         observations["image"] = observations["image"].permute(0, 3, 1, 2).contiguous()
         return cls(
             observations,
-            torch.from_numpy(view_features(azimuth, elevation, reference)),
+            torch.from_numpy(views),
             torch.from_numpy(np.minimum(bank.second_error, 1.0).astype(np.float32)),
         )
 
@@ -59,13 +59,13 @@ class Lessons:
         return observations, self.views[rows], self.errors[rows]
 
 
-def train_networks(
+def train_agent_networks(
     bank: ViewBank,
     observation_space: spaces.Dict,
     hyperparameters: GreedyHyperparameters,
     seed: int,
     progress: bool = True,
-) -> nn.ModuleList:
+) -> GreedyAgent:
     """Trains the networks of one agent; the same arguments give the same weights.
 
     Args:
@@ -79,14 +79,17 @@ def train_networks(
     rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(rng.integers(2**31)))
-        networks = make_networks(observation_space, vars(hyperparameters))
-        total = hyperparameters.epochs * len(networks)
+        spans = crop_spans(bank.header.diameters)
+        agent = GreedyAgent(observation_space, vars(hyperparameters), spans)
+        total = hyperparameters.epochs * len(agent.networks)
         with tqdm(total=total, unit="epoch", disable=not progress) as bar:
-            for network in networks:
+            for network in agent.networks:
+                assert isinstance(network, ErrorPredictor)
                 for loss in _epochs(network, lessons, hyperparameters, rng):
                     bar.set_postfix(loss=f"{loss:.3f}")
                     bar.update()
-    return networks.eval()
+        train_judge(agent.judge, bank, rng)
+    return agent.eval()
 
 
 def _epochs(
@@ -127,11 +130,10 @@ def _disturbed(images: Tensor, rng: np.random.Generator) -> Tensor:
     return (torch.roll(images, shift, (2, 3)) * contrast + brightness).clamp(0.0, 1.0)
 
 
-@torch.inference_mode()
-def chosen_slots(networks: nn.ModuleList, bank: ViewBank) -> np.ndarray:
+def chosen_slots(agent: GreedyAgent, bank: ViewBank) -> np.ndarray:
     """The slot of least predicted error in every scene of a bank, (M,)."""
     observations, views, _ = Lessons.of(bank).batch(torch.arange(len(bank)))
-    return predicted_errors(networks, observations, views).argmin(dim=1).numpy()
+    return agent.predict(observations, views).argmin(axis=1)
 
 
 def view_angles(bank: ViewBank) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

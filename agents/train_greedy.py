@@ -15,7 +15,7 @@ from ..pose_estimator.results import write_results
 from .checkpoint import AgentHeader, describe_space, write_agent
 from .config import TrainAgentConfig
 from .hyperparameters import GREEDY, GreedyHyperparameters
-from .imitation import chosen_slots, train_networks
+from .imitation import chosen_slots, train_agent_networks
 from .train import POLICY, split_bank
 from .trained import channels_first
 
@@ -37,7 +37,7 @@ def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
     env = gym.make(config.env_id, **config.environment_arguments)
     bank: ViewBank = env.unwrapped.bank  # type: ignore[attr-defined]
     began = time.perf_counter()
-    networks = train_networks(
+    agent = train_agent_networks(
         bank.part(slice(*learning["scenes"])),
         channels_first(env),
         hyperparameters,
@@ -57,11 +57,11 @@ def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
         observation_space=describe_space(env.observation_space),
         action_space=describe_space(env.action_space),
     )
-    weights = {f"policy/{key}": value for key, value in networks.state_dict().items()}
+    weights = {f"policy/{key}": value for key, value in agent.state_dict().items()}
     path = config.out / POLICY
     write_agent(path, header, weights)
     kept = bank.part(slice(*validating["scenes"]))
-    errors = kept.second_error[np.arange(len(kept)), chosen_slots(networks, kept)]
+    errors = kept.second_error[np.arange(len(kept)), chosen_slots(agent, kept)]
     recall, capped = float(np.mean(errors < 0.1)), float(np.minimum(errors, 1.0).mean())
     print(f"Saved {path} after {seconds:.0f} s.")
     print(

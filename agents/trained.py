@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import VecTransposeImage
 
 from .baselines import Policy
 from .checkpoint import AgentHeader, check_tensors, describe_space, read_agent, subset
-from .greedy import GreedyPolicy, load_networks
+from .greedy import GreedyPolicy, load_agent
 from .hyperparameters import ALGORITHMS, GREEDY, check_hyperparameters, policy_kwargs
 from .view_sphere import Action
 
@@ -61,8 +61,9 @@ def load_policy(path: str | os.PathLike[str], env: gym.Env, name: str | None = N
     _check_spaces(header, env, path)
     weights = subset(tensors, "policy/")
     if header.algo == GREEDY:
-        networks = load_networks(header, channels_first(env), weights, f"agent file {path}")
-        return GreedyPolicy(networks, header, env, name or os.fspath(path))
+        known = {key: channels_first(env)[key] for key in header.observation_space}
+        agent = load_agent(header, spaces.Dict(known), weights, f"agent file {path}")
+        return GreedyPolicy(agent, header, env, name or os.fspath(path))
     policy = _build(header, env)
     check_tensors(weights, policy.state_dict(), f"agent file {path}")
     policy.load_state_dict(weights)
@@ -106,12 +107,15 @@ def _build(header: AgentHeader, env: gym.Env) -> BasePolicy:
 
 
 def _check_spaces(header: AgentHeader, env: gym.Env, path: str | os.PathLike[str]) -> None:
+    greedy = header.algo == GREEDY  # it takes any views, and leaves out what it does not know
     for name, trained in (
         ("observation", header.observation_space),
         ("action", header.action_space),
     ):
         found = describe_space(getattr(env, f"{name}_space"))
-        if found != trained and not (header.algo == GREEDY and name == "action"):
+        if greedy and name == "observation" and isinstance(found, dict):
+            found = {key: part for key, part in found.items() if key in trained}
+        if found != trained and not (greedy and name == "action"):
             here = env.spec.id if env.spec else type(env.unwrapped).__name__
             raise ValueError(
                 f"agent file {path} was trained on {header.env} with the {name} space {trained}; "

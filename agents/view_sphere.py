@@ -67,9 +67,12 @@ def check_space(space: spaces.Space[Any]) -> spaces.Box | spaces.Discrete:
 
 
 def view_actions(env: ViewSphere) -> list[Any]:
-    """The views to choose from: all of a list, or in a Box the places of `CANDIDATE_VIEWS`."""
+    """The views to choose from: all of a list, or in a Box the places of `CANDIDATE_VIEWS`.
+
+    The action that stops is no view.
+    """
     if isinstance(env.action_space, spaces.Discrete):
-        return list(range(int(env.action_space.n)))
+        return list(range(getattr(env, "stop_action", int(env.action_space.n))))
     return [box_action(env, *np.deg2rad(view)) for view in CANDIDATE_VIEWS]
 
 
@@ -84,8 +87,9 @@ def view_directions(env: ViewSphere, actions: list[Any]) -> np.ndarray:
 
 
 def travels(env: ViewSphere, actions: list[Any]) -> np.ndarray:
-    """Straight ways from the reference camera to those of actions, (N,) metres."""
-    start = camera_centre(env.T_cam_world) - env.sphere_centre
+    """Straight ways from the newest camera to those of actions, (N,) metres."""
+    newest = getattr(env, "T_newest_world", env.T_cam_world)
+    start = camera_centre(newest) - env.sphere_centre
     return np.linalg.norm(view_directions(env, actions) - start, axis=1)
 
 

@@ -320,9 +320,11 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
             "T_cam_obj": episode.T_cam_obj_true(0),
             "visibility": episode.visibility,
         }
-        for key, error in zip(("add_first", "add_second"), episode.errors, strict=False):
-            truth[key] = error
-            truth["success"] = bool(error < 0.1 * model.diameter)
+        if episode.errors:
+            truth["add_first"] = episode.errors[0]
+            truth["success"] = bool(episode.errors[-1] < 0.1 * model.diameter)
+        if len(episode.errors) > 1:
+            truth["add_second"] = episode.errors[-1]
         return {
             "object": episode.object_name,
             "diameter": float(model.diameter),

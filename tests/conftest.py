@@ -1,10 +1,17 @@
 """What every test run says first, and what several files ask for."""
 
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
 
 import pytest
 import two_view_pose
+
+HERE = Path(__file__).parent
+if str(HERE) not in sys.path:  # where made_bank.py is
+    sys.path.insert(0, str(HERE))
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -36,3 +43,11 @@ def tiny_training() -> Iterator[None]:
 def pytest_report_header() -> str:
     """Which copy of the package is under test: a checkout's or an installed wheel's."""
     return f"two_view_pose: {two_view_pose.__file__}"
+
+
+@pytest.fixture
+def make_bank() -> Callable[..., Any]:
+    """Makes view banks of scenes that nobody has rendered, see ``made_bank.py``."""
+    from made_bank import made_bank
+
+    return made_bank

@@ -1,0 +1,150 @@
+"""More than one second view: look again until the pose is good enough, or the budget is spent."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+
+from .actions import candidate_view
+from .base import MOST_VIEWS
+from .observation import Observation
+from .two_view_pose import TwoViewPoseDiscreteEnv
+
+
+class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
+    """`TwoViewPoseDiscrete-v0` with a budget of several second views, and an action to stop.
+
+    ## Description
+
+    After every view the estimator answers from all views so far, and the agent decides: look once
+    more, and from where, or stop. Every view costs time and every metre a little; what counts in
+    the end is the accuracy of the last pose.
+
+    ## Action Space
+
+    `Discrete(25)`: the 24 candidates of `TwoViewPoseDiscrete-v0`, always around the object as the
+    reference view estimated it and counted from the reference camera's azimuth; 24 stops.
+
+    ## Observation Space
+
+    That of `TwoViewPose-v0`, of the newest estimate and camera, and
+
+    | Key          | Shape | Content                                              |
+    |--------------|-------|------------------------------------------------------|
+    | `views_left` | (1,)  | share of the budget that is left, 0 to 1             |
+    | `taken`      | (24,) | 1 where a candidate has been taken in this episode   |
+
+    ## Rewards
+
+    `-view_weight - travel_weight * travel` for each view, where `travel` is the way from the camera
+    before; and when the episode ends `-min(ADD(-S) / diameter, 1)`.
+
+    ## Episode End
+
+    `terminated` with the action to stop, or with the last view of the budget.
+
+    ## Info
+
+    As in `TwoViewPose-v0`; `ground_truth["add_second"]` is the error of the newest estimate, of the
+    first one before any second view; `second_views` counts these.
+
+    ## Arguments
+
+    Those of `TwoViewPoseDiscreteEnv`, and
+
+    | Argument      | Default | Meaning                                |
+    |---------------|---------|----------------------------------------|
+    | `budget`      | 3       | most second views, 1 to 7              |
+    | `view_weight` | 0.02    | price of a second view                 |
+
+    ## Version History
+
+    * v0: first release
+    """
+
+    def __init__(self, *, budget: int = 3, view_weight: float = 0.02, **kwargs: Any) -> None:
+        if not 1 <= budget < MOST_VIEWS:
+            raise ValueError(f"budget must be 1 to {MOST_VIEWS - 1} second views, got {budget}")
+        if not (np.isfinite(view_weight) and view_weight >= 0):
+            raise ValueError(f"view_weight must be a number of at least 0, got {view_weight}")
+        self._budget, self._view_weight = budget, float(view_weight)
+        self._taken: list[int] = []
+        super().__init__(**kwargs)
+        more = {
+            "views_left": spaces.Box(0.0, 1.0, (1,), np.float32),
+            "taken": spaces.Box(0.0, 1.0, (len(self._candidates),), np.float32),
+        }
+        self.observation_space = spaces.Dict({**self._fields.spaces, **more})
+
+    @property
+    def stop_action(self) -> int:
+        """The action that ends the episode with the newest estimate."""
+        return len(self._candidates)
+
+    @property
+    def T_newest_world(self) -> np.ndarray:
+        """The newest camera, (4, 4)."""
+        return self._running().cameras[-1].copy()
+
+    def make_action_space(self) -> spaces.Space[Any]:
+        """The number of a candidate view, or to stop."""
+        return spaces.Discrete(len(self._candidates) + 1)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """As in `TwoViewPose-v0`."""
+        self._taken = []
+        return super().reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Takes one more view, or stops.
+
+        Raises:
+            ValueError: if the action is out of the action space.
+            ResetNeeded: if the episode has ended.
+        """
+        episode = self._running()
+        if episode.ended:
+            raise ResetNeeded("the episode has ended: call reset() first")
+        chosen = candidate_view(action, len(self._candidates) + 1)
+        reward = 0.0
+        if chosen == self.stop_action:
+            episode.ended = True
+        else:
+            motion = self._carrier.move(self.camera_pose(chosen))
+            episode.travel += motion.travel
+            self._taken = [*self._taken, chosen]
+            self._look(motion.T_cam_world)
+            reward -= self._view_weight + self._travel_weight * motion.travel
+            episode.ended = len(self._taken) == self._budget
+        if episode.ended and episode.errors:
+            diameter = self._objects[episode.object_name].diameter
+            reward -= min(episode.errors[-1] / diameter, 1.0)
+        if self.render_mode == "human":
+            self.render()
+        return self._observation(), float(reward), episode.ended, False, self._info()
+
+    def peek(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """What ``step(action)`` would return now; the episode stays as it is."""
+        taken = self._taken
+        try:
+            return super().peek(action)
+        finally:
+            self._taken = taken
+
+    def _observation(self) -> Observation:
+        taken = np.zeros(len(self._candidates), np.float32)
+        taken[self._taken] = 1.0
+        left = np.array([1.0 - len(self._taken) / self._budget], np.float32)
+        return super()._observation() | {"views_left": left, "taken": taken}
+
+    def _info(self) -> dict[str, Any]:
+        info = super()._info()
+        episode = self._running()
+        if episode.errors:
+            info["ground_truth"]["add_second"] = episode.errors[-1]
+        return info | {"second_views": len(self._taken)}
