@@ -24,6 +24,8 @@ class TrainAgentConfig:
     learning, but a network that learns from a bank to predict the error after every view."""
     bank: Path | None = None
     """Recorded views (`record-bank`) to train on, in minutes, instead of rendering."""
+    more_scenes: Path | None = None
+    """For greedy: a bank recorded with --no-answers, of which it learns what hides an object."""
     action: Literal["discrete", "box"] | None = None
     """With a bank: choose among its views, or a place on the view sphere (its nearest view is
     taken); by default box for sac, else discrete."""

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..pose_estimator.estimate import PoseEstimate
+from .carrier import camera_centre
 from .episode import episode_seed
 from .observation import Observation
 from .record_bank import part_path, write_part
-from .two_view_pose import TwoViewPoseDiscreteEnv
+from .two_view_pose import CANDIDATE_VIEWS, TwoViewPoseDiscreteEnv
 from .view_bank import FIRST_FIELDS, SECOND_FIELDS
 
 if TYPE_CHECKING:
@@ -32,16 +33,12 @@ class BankRecorder:
         """Records scene ``scene_id`` and writes its file."""
         env = self._env
         observation, info = env.reset(seed=episode_seed(self._config.seed, scene_id))
-        outcomes = [env.peek(action) for action in range(int(env.action_space.n))]  # type: ignore[attr-defined]
         estimate = env.estimate
         assert estimate is not None
-        arrays = one_scene(
-            observation,
-            estimate,
-            [(o, i["T_cam_world"], i["T_cam_obj"], i["travel"]) for o, *_, i in outcomes],
-        )
+        outcomes = [self._outcome(a, observation) for a in range(len(CANDIDATE_VIEWS))]
+        arrays = one_scene(observation, estimate, [outcome[:4] for outcome in outcomes])
         diameter, truth = info["diameter"], info["ground_truth"]
-        errors = [i["ground_truth"]["add_second"] / diameter for *_, i in outcomes]
+        cameras = arrays["second_T_cam_world"][0]
         arrays |= {
             "object_index": np.array([env.object_names.index(info["object"])], np.int16),
             "scene_seed": np.array([info["scene_seed"]], np.int64),
@@ -50,9 +47,25 @@ class BankRecorder:
             "T_cam_world": env.T_cam_world[None],
             "centre": env.sphere_centre[None],
             "first_error": np.array([truth["add_first"] / diameter], np.float32),
-            "second_error": np.array([errors], np.float32),
+            "second_error": np.array([[outcome[4] for outcome in outcomes]], np.float32),
+            "second_visibility": np.array([[env.visibility_from(T) for T in cameras]], np.float32),
         }
         write_part(part_path(self._config, scene_id), arrays)
+
+    def _outcome(
+        self, action: int, first: Observation
+    ) -> tuple[Observation, np.ndarray, np.ndarray, float, float]:
+        """Observation, camera, estimate, travel and ADD(-S) over the diameter of a second view."""
+        env = self._env
+        if self._config.answers:
+            observation, _, _, _, info = env.peek(action)
+            error = info["ground_truth"]["add_second"] / info["diameter"]
+            return observation, info["T_cam_world"], info["T_cam_obj"], info["travel"], error
+        T_cam_world = env.camera_pose(action)
+        travel = camera_centre(T_cam_world) - camera_centre(env.T_cam_world)
+        assert env.estimate is not None
+        T_cam_obj = env.estimate.T_cam_obj
+        return first, T_cam_world, T_cam_obj, float(np.linalg.norm(travel)), float("nan")
 
 
 def one_scene(

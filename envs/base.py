@@ -26,6 +26,7 @@ from ..pose_estimator.geometry import (
     invert,
 )
 from ..pose_estimator.metrics import add_or_add_s
+from .arrangement import target_visibility
 from .carrier import Carrier, FreeFlyingCarrier, PoseNoise
 from .episode import Episode
 from .figure import Panel, comparison
@@ -236,6 +237,12 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         finally:
             self._episode, self.render_mode = before, mode
             self._carrier.place(before.cameras[-1])
+
+    def visibility_from(self, T_cam_world: np.ndarray) -> float:
+        """Visible fraction of the target from a camera (4, 4): ground truth, for recording."""
+        episode = self._running()
+        name, T_world_obj = episode.object_name, episode.T_world_obj
+        return float(target_visibility(self._scene, name, T_world_obj, T_cam_world))
 
     def render(self) -> np.ndarray | None:
         """The picture of the episode, RGB uint8 (664, 1360, 3); None if it is shown in a window.

@@ -153,7 +153,7 @@ class _RealRecorder:
 
         cameras = {i: T_second_ref @ T_ref_world for i, T_second_ref in seconds.items()}
         slots = self._slots(cameras, centre, place)
-        outcomes, errors = {}, {}
+        outcomes, errors, seen = {}, {}, {}
         for image_id in sorted(set(slots)):
             second = others[image_id]
             view = View(read_rgb(second), second.K, cameras[image_id])
@@ -167,6 +167,8 @@ class _RealRecorder:
                 float(np.linalg.norm(travel)),
             )
             errors[image_id] = error(estimate)
+            shown = second.annotation(model.obj_id)
+            seen[image_id] = np.nan if shown is None else shown.visibility
         arrays = one_scene(observe(first, T_ref_world), first, [outcomes[i] for i in slots])
         return arrays | {
             "object_index": np.array([self._names.index(name)], np.int16),
@@ -177,6 +179,7 @@ class _RealRecorder:
             "centre": centre[None],
             "first_error": np.array([error(first)], np.float32),
             "second_error": np.array([[errors[i] for i in slots]], np.float32),
+            "second_visibility": np.array([[seen[i] for i in slots]], np.float32),
         }
 
     def _slots(

@@ -85,6 +85,11 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
             raise ValueError(f"travel_weight must be a number of at least 0, got {travel_weight}")
         self.render_mode = render_mode
         self.bank = bank if isinstance(bank, ViewBank) else _read(os.fspath(bank))
+        if not self.bank.answered:
+            raise ValueError(
+                "bank holds no answers of an estimator (it was recorded with --no-answers): such a "
+                "bank serves only to train agents with --algo greedy --more-scenes"
+            )
         first, end = (0, len(self.bank)) if scenes is None else scenes
         if not 0 <= first < end <= len(self.bank):
             raise ValueError(f"scenes must lie within 0 to {len(self.bank)}, got {scenes}")

@@ -81,7 +81,9 @@ class ViewBank:
         first_error: ADD(-S) over the diameter from the reference view alone, (M,).
         second_T_cam_world: camera of each slot, (M, N, 4, 4).
         second_T_cam_obj: the estimate from both views, (M, N, 4, 4), in the reference camera.
-        second_error: its ADD(-S) over the diameter, (M, N).
+        second_error: its ADD(-S) over the diameter, (M, N); NaN where no estimator was asked.
+        second_visibility: true visible fraction of the target from each slot, (M, N); NaN where it
+            is not known.
         travel: of the camera to each slot, (M, N), metres.
     """
 
@@ -101,11 +103,17 @@ class ViewBank:
     second_T_cam_world: np.ndarray
     second_T_cam_obj: np.ndarray
     second_error: np.ndarray
+    second_visibility: np.ndarray
     travel: np.ndarray
 
     def __len__(self) -> int:
         """Number of scenes."""
         return len(self.object_index)
+
+    @property
+    def answered(self) -> bool:
+        """Whether the estimator was asked about the second views."""
+        return bool(np.isfinite(self.second_error).all())
 
     @property
     def slots(self) -> int:

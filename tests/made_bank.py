@@ -105,5 +105,6 @@ def made_bank(scenes: int, seed: int = 0, size: int = 36) -> ViewBank:
         second_T_cam_world=second,
         second_T_cam_obj=np.repeat(T_cam_obj[:, None], slots, axis=1),
         second_error=error.astype(np.float32),
+        second_visibility=np.where(blocked, 0.1, 0.95).astype(np.float32),
         travel=np.linalg.norm(centres - start[:, None], axis=2).astype(np.float32),
     )

@@ -7,13 +7,14 @@ from itertools import product
 import gymnasium as gym
 import numpy as np
 import pytest
-from two_view_pose.agents.policies import BASELINES, make_policy
+from two_view_pose.agents.policies import make_policy
 from two_view_pose.envs.carrier import camera_centre
 
+RULES = ("random", "fixed", "above", "max-baseline")
 ENVS = ("toy_env:ToySphere-v0", "toy_env:ToySphereDiscrete-v0")
 
 
-@pytest.mark.parametrize(("env_id", "name"), [*product(ENVS, BASELINES)])
+@pytest.mark.parametrize(("env_id", "name"), [*product(ENVS, RULES)])
 def test_actions_are_valid(env_id: str, name: str) -> None:
     env = gym.make(env_id)
     policy = make_policy(name, env)
@@ -69,6 +70,24 @@ def test_fixed_takes_the_nearest_candidate() -> None:
         assert distances[chosen] < distances.min() + 1e-6
 
 
+def test_above_looks_down_from_70_degrees() -> None:
+    for env_id in ENVS:
+        env = gym.make(env_id)
+        policy = make_policy("above", env)
+        for seed in range(10):
+            observation, _ = env.reset(seed=seed)
+            sphere = env.unwrapped
+            offset = camera_centre(sphere.camera_pose(policy.act(observation)))
+            offset -= sphere.sphere_centre
+            elevation = np.rad2deg(np.arcsin(offset[2] / np.linalg.norm(offset)))
+            assert elevation == pytest.approx(70.0, abs=1e-3)
+
+
+def test_stay_takes_no_view() -> None:
+    env = gym.make(ENVS[0])
+    assert make_policy("stay", env).act(env.reset(seed=0)[0]) is None
+
+
 @pytest.mark.parametrize("env_id", ENVS)
 def test_no_view_is_farther_than_max_baseline(env_id: str) -> None:
     env = gym.make(env_id)
@@ -88,9 +107,11 @@ def test_no_view_is_farther_than_max_baseline(env_id: str) -> None:
 
 def test_unknown_policy_and_unfit_environment() -> None:
     env = gym.make("toy_env:ToySphere-v0")
-    with pytest.raises(ValueError, match="policy must be random, fixed, max-baseline or a file"):
-        make_policy("greedy", env)
-    with pytest.raises(ValueError, match="need an environment with a view sphere"):
+    with pytest.raises(
+        ValueError, match=r"policy must be one of stay, random, fixed, above, .* or a file"
+    ):
+        make_policy("nothing", env)
+    with pytest.raises(ValueError, match="needs an environment with a view sphere"):
         make_policy("fixed", gym.make("toy_env:ToyView-v0"))
     with pytest.raises(ValueError, match="a Box or a Discrete space"):
         make_policy("random", gym.wrappers.TransformAction(env, lambda a: a, gym.spaces.Text(3)))

@@ -13,12 +13,14 @@ import pytest
 from scipy.stats import binomtest
 from two_view_pose.agents.checkpoint import read_agent, write_agent
 from two_view_pose.agents.config import EvaluateAgentConfig, TrainAgentConfig
-from two_view_pose.agents.evaluate import FIRST_VIEW, evaluate_agents, run_episodes, wilson
-from two_view_pose.agents.policies import BASELINES, make_policy
+from two_view_pose.agents.evaluate import evaluate_agents, run_episodes, seeded_scenes
+from two_view_pose.agents.outcomes import STAY, wilson
+from two_view_pose.agents.policies import make_policy
 from two_view_pose.agents.train import train_agent
 from two_view_pose.pose_estimator.results import check_record, read_results
 
 SPHERE = "toy_env:ToySphere-v0"
+RULES = ("random", "fixed", "max-baseline")
 
 
 def evaluation(**fields: object) -> EvaluateAgentConfig:
@@ -28,21 +30,23 @@ def evaluation(**fields: object) -> EvaluateAgentConfig:
 
 def test_every_policy_sees_the_same_scenes_whatever_its_company() -> None:
     env = gym.make(SPHERE)
-    together = run_episodes(env, {name: make_policy(name, env) for name in BASELINES}, 20, seed=4)
-    assert list(together) == [FIRST_VIEW, *BASELINES]
-    for name in BASELINES:
+    together = run_episodes(
+        env, {name: make_policy(name, env) for name in RULES}, seeded_scenes(20, 4)
+    )
+    assert list(together) == [STAY, *RULES]
+    for name in RULES:
         env = gym.make(SPHERE)
-        alone = run_episodes(env, {name: make_policy(name, env)}, 20, seed=4)
+        alone = run_episodes(env, {name: make_policy(name, env)}, seeded_scenes(20, 4))
         assert alone[name] == together[name]
-        assert alone[FIRST_VIEW] == together[FIRST_VIEW]
+        assert alone[STAY] == together[STAY]
     objects = [[outcome.object_name for outcome in column] for column in together.values()]
     assert all(column == objects[0] for column in objects)
-    assert {outcome.travel for outcome in together[FIRST_VIEW]} == {0.0}
+    assert {outcome.travel for outcome in together[STAY]} == {0.0}
     # The toy's error falls with the angle: the farthest view is the best in every single scene.
     for best, other in zip(together["max-baseline"], together["fixed"], strict=True):
         assert best.add_over_diameter < other.add_over_diameter
     env = gym.make(SPHERE)
-    assert run_episodes(env, {"random": make_policy("random", env)}, 20, seed=5) != alone
+    assert run_episodes(env, {"random": make_policy("random", env)}, seeded_scenes(20, 5)) != alone
 
 
 def test_results_file_and_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -54,14 +58,20 @@ def test_results_file_and_table(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert document["seed"] == 2
     assert document["command"].startswith("evaluate-agent --policy random fixed max-baseline")
     assert "stable-baselines3" in document["versions"]
-    for policy in (FIRST_VIEW, *BASELINES):
+    for policy in (STAY, *RULES):
         assert policy in table
         chosen = [r for r in records if r["policy"] == policy and r["object"] == "mean"]
+        compared = [r for r in chosen if "against" in r]
+        chosen = [r for r in chosen if "against" not in r]
         assert {r["metric"]: r["unit"] for r in chosen} == {
             "add_s_recall": "1",
             "add_over_diameter": "1",
+            "capped_add_over_diameter": "1",
             "travel": "m",
+            "second_views": "1",
         }
+        assert {r["metric"] for r in compared} == {"add_s_recall_difference", "capped_difference"}
+        assert {r["against"] for r in compared} == {"max-baseline"}
         for record in chosen:
             assert record["low"] <= record["value"] <= record["high"]
             assert (record["scene"], record["n"]) == ("linemod", 20)
@@ -84,7 +94,7 @@ def test_a_trained_file_beside_the_baselines(
 ) -> None:
     path = train_agent(config(env=SPHERE, steps=32))
     records = evaluate_agents(evaluation(policy=("random", str(path)), episodes=3))
-    assert {r["policy"] for r in records} == {FIRST_VIEW, "random", str(path)}
+    assert {r["policy"] for r in records} == {STAY, "random", str(path)}
     assert Path(path).name in capsys.readouterr().out.replace("\n", "")
 
 
@@ -113,7 +123,7 @@ def test_wrong_arguments() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             evaluation(**fields)
-    with pytest.raises(ValueError, match="policy must be random"):
+    with pytest.raises(ValueError, match="policy must be one of stay"):
         evaluate_agents(evaluation(policy=("nothing.safetensors",)))
     with pytest.raises(ValueError, match="estimator must not be None"):
         evaluate_agents(evaluation(env_kwargs={"gain": 0.0}))

