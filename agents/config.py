@@ -24,6 +24,9 @@ class TrainAgentConfig:
     learning, but a network that learns from a bank to predict the error after every view."""
     bank: Path | None = None
     """Recorded views (`record-bank`) to train on, in minutes, instead of rendering."""
+    init: Path | None = None
+    """For ppo, sac and dqn over a bank: an agent of `--algo greedy` whose network predicts the
+    candidates' errors for the learner (its extractor must be CandidateExtractor)."""
     more_scenes: Path | None = None
     """For greedy: a bank recorded with --no-answers, of which it learns what hides an object."""
     action: Literal["discrete", "box"] | None = None

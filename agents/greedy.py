@@ -53,7 +53,8 @@ class ErrorPredictor(nn.Module):
     What would hide the object from a view stands on the line from the object to that camera, and
     that line is seen in the reference picture. So besides the whole crop, the network looks at the
     crop's features along the projected line of every candidate: what it learns of a box to the
-    left serves for one to the right.
+    left serves for one to the right. It also predicts how much of the object a view would show,
+    which teaches it to see what is in the way.
 
     Args:
         observation_space: of the environment, its image with channels first.
@@ -92,10 +93,11 @@ class ErrorPredictor(nn.Module):
             nn.Linear(features_dim, features_dim),
             nn.ReLU(),
         )
-        self.head = nn.Linear(features_dim, 1)
+        self.visibility = nn.Linear(features_dim, 1)
+        self.error = nn.Linear(features_dim + 1, 1)
 
-    def forward(self, observations: dict[str, Tensor], views: Tensor) -> Tensor:
-        """Logits (B, N) of the predicted errors.
+    def forward(self, observations: dict[str, Tensor], views: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits of the predicted errors and of the visible fractions of the object, (B, N) each.
 
         Args:
             observations: a batch, images 0 to 1 with channels first.
@@ -106,7 +108,10 @@ class ErrorPredictor(nn.Module):
         seen = F.grid_sample(maps, self.line_of_sight(observations, views), align_corners=False)
         line = F.relu(self.line(seen.permute(0, 2, 3, 1).flatten(2)))
         told = torch.cat([views[..., :VIEW_FEATURES], line], dim=-1)
-        return self.head(self.mix(scene[:, None] + self.view(told)))[..., 0]
+        mixed = self.mix(scene[:, None] + self.view(told))
+        visible = self.visibility(mixed)
+        error = self.error(torch.cat([mixed, torch.sigmoid(visible)], dim=-1))
+        return error[..., 0], visible[..., 0]
 
     def line_of_sight(self, observations: dict[str, Tensor], views: Tensor) -> Tensor:
         """Where the lines from the object to the candidates are in the crop.
@@ -208,7 +213,7 @@ class GreedyAgent(nn.Module):
     @torch.inference_mode()
     def predict(self, observations: dict[str, Tensor], views: Tensor) -> np.ndarray:
         """Predicted min(ADD(-S) / diameter, 1) of N views, the mean over the networks, (B, N)."""
-        logits = torch.stack([network(observations, views) for network in self.networks])
+        logits = torch.stack([network(observations, views)[0] for network in self.networks])
         return torch.sigmoid(logits).mean(dim=0).numpy()
 
     @torch.inference_mode()

@@ -15,6 +15,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import LinearSchedule
 
+from .candidates import CandidateExtractor
 from .extractor import ViewExtractor
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC, "dqn": sb3.DQN}
@@ -31,7 +32,10 @@ ACTIVATIONS: dict[str, type[torch.nn.Module]] = {
     "silu": torch.nn.SiLU,
 }
 
-EXTRACTORS: dict[str, type[BaseFeaturesExtractor]] = {"ViewExtractor": ViewExtractor}
+EXTRACTORS: dict[str, type[BaseFeaturesExtractor]] = {
+    "ViewExtractor": ViewExtractor,
+    "CandidateExtractor": CandidateExtractor,
+}
 """Feature extractors that plain data can name."""
 
 

@@ -30,12 +30,14 @@ class Lessons:
     Attributes:
         observations: batch of all scenes, images uint8 (M, 3, S, S).
         views: (M, N, 8).
-        errors: min(ADD(-S) / diameter, 1), (M, N).
+        errors: min(ADD(-S) / diameter, 1), (M, N); NaN where it is not known.
+        visibility: visible fraction of the object, (M, N); NaN where it is not known.
     """
 
     observations: dict[str, Tensor]
     views: Tensor
     errors: Tensor
+    visibility: Tensor
 
     @classmethod
     def of(cls, bank: ViewBank, mirrored: bool = False) -> Lessons:
@@ -50,13 +52,24 @@ class Lessons:
             observations,
             torch.from_numpy(views),
             torch.from_numpy(np.minimum(bank.second_error, 1.0).astype(np.float32)),
+            torch.from_numpy(bank.second_visibility.astype(np.float32)),
         )
 
-    def batch(self, rows: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor]:
-        """Some of the scenes, their images 0 to 1."""
+    def and_more(self, more: Lessons) -> Lessons:
+        """These lessons, then others."""
+        keys = self.observations
+        return Lessons(
+            {key: torch.cat([self.observations[key], more.observations[key]]) for key in keys},
+            torch.cat([self.views, more.views]),
+            torch.cat([self.errors, more.errors]),
+            torch.cat([self.visibility, more.visibility]),
+        )
+
+    def batch(self, rows: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+        """Observations of some of the scenes, their images 0 to 1, and the views."""
         observations = {key: value[rows] for key, value in self.observations.items()}
         observations["image"] = observations["image"].float() / 255.0
-        return observations, self.views[rows], self.errors[rows]
+        return observations, self.views[rows]
 
 
 def train_agent_networks(
@@ -65,6 +78,7 @@ def train_agent_networks(
     hyperparameters: GreedyHyperparameters,
     seed: int,
     progress: bool = True,
+    more: ViewBank | None = None,
 ) -> GreedyAgent:
     """Trains the networks of one agent; the same arguments give the same weights.
 
@@ -74,8 +88,12 @@ def train_agent_networks(
         hyperparameters: see there.
         seed: of first weights, order and augmentation.
         progress: show a bar.
+        more: further scenes, which say only what is visible from where.
     """
-    lessons = Lessons.of(bank), Lessons.of(bank, mirrored=True)
+    lessons = tuple(Lessons.of(bank, mirrored) for mirrored in (False, True))
+    if more is not None:
+        further = (Lessons.of(more, mirrored) for mirrored in (False, True))
+        lessons = tuple(a.and_more(b) for a, b in zip(lessons, further, strict=True))
     rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(rng.integers(2**31)))
@@ -94,7 +112,7 @@ def train_agent_networks(
 
 def _epochs(
     network: ErrorPredictor,
-    lessons: tuple[Lessons, Lessons],
+    lessons: tuple[Lessons, ...],
     hyperparameters: GreedyHyperparameters,
     rng: np.random.Generator,
 ) -> Iterator[float]:
@@ -109,16 +127,27 @@ def _epochs(
     for _ in range(h.epochs):
         total = 0.0
         for rows in np.array_split(rng.permutation(count), batches):
-            chosen = lessons[int(rng.integers(2))]
-            observations, views, errors = chosen.batch(torch.from_numpy(rows))
+            chosen, at = lessons[int(rng.integers(2))], torch.from_numpy(rows)
+            observations, views = chosen.batch(at)
             observations["image"] = _disturbed(observations["image"], rng)
-            loss = F.binary_cross_entropy_with_logits(network(observations, views), errors)
+            error, visible = network(observations, views)
+            loss = _known_loss(error, chosen.errors[at])
+            loss = loss + _known_loss(visible, chosen.visibility[at])
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
             schedule.step()
             total += loss.item() * len(rows)
         yield total / count
+
+
+def _known_loss(logits: Tensor, wanted: Tensor) -> Tensor:
+    """Cross entropy where it is known what is wanted; 0 where nothing is."""
+    known = torch.isfinite(wanted)
+    losses = F.binary_cross_entropy_with_logits(
+        logits, torch.where(known, wanted, torch.zeros_like(wanted)), reduction="none"
+    )
+    return (losses * known).sum() / known.sum().clamp(min=1)
 
 
 def _disturbed(images: Tensor, rng: np.random.Generator) -> Tensor:
@@ -132,7 +161,7 @@ def _disturbed(images: Tensor, rng: np.random.Generator) -> Tensor:
 
 def chosen_slots(agent: GreedyAgent, bank: ViewBank) -> np.ndarray:
     """The slot of least predicted error in every scene of a bank, (M,)."""
-    observations, views, _ = Lessons.of(bank).batch(torch.arange(len(bank)))
+    observations, views = Lessons.of(bank).batch(torch.arange(len(bank)))
     return agent.predict(observations, views).argmin(axis=1)
 
 

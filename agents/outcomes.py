@@ -8,7 +8,7 @@ Bootstrap*, chapter 8).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,7 @@ class Outcome:
         visibility: visible fraction of the target in the reference view; NaN where it is not known.
         baseline_deg: angle between the reference view and the newest.
         views: second views that were taken.
+        scene: what tells scenes of one object apart; None: every outcome is of its own scene.
     """
 
     object_name: str
@@ -53,6 +54,7 @@ class Outcome:
     visibility: float = math.nan
     baseline_deg: float = 0.0
     views: int = 1
+    scene: int | None = None
 
     @property
     def capped(self) -> float:
@@ -70,7 +72,20 @@ def outcome_of(info: Mapping[str, Any], key: str, views: int) -> Outcome:
         visibility=float(truth.get("visibility", math.nan)),
         baseline_deg=float(info.get("baseline_deg", 0.0)),
         views=views,
+        scene=info.get("scene_seed"),
     )
+
+
+def per_scene(results: Sequence[Outcome], value: Callable[[Outcome], float]) -> np.ndarray:
+    """The mean of a value in each scene, in the order of the scenes.
+
+    Over a bank several seeds play the same scenes; these are not more scenes.
+    """
+    found: dict[Any, list[float]] = {}
+    for number, result in enumerate(results):
+        scene = number if result.scene is None else (result.object_name, result.scene)
+        found.setdefault(scene, []).append(value(result))
+    return np.array([np.mean(values) for values in found.values()])
 
 
 def make_records(outcomes: Mapping[str, Sequence[Outcome]], scene: str) -> list[dict[str, Any]]:
@@ -99,7 +114,7 @@ def _records(results: Sequence[Outcome], tags: Mapping[str, Any]) -> list[dict[s
             "value": value,
             "unit": unit,
             **tags,
-            "n": len(results),
+            "n": len(per_scene(results, lambda r: r.views)),
             "low": low,
             "high": high,
         }
@@ -109,13 +124,21 @@ def _records(results: Sequence[Outcome], tags: Mapping[str, Any]) -> list[dict[s
 
 def statistics(results: Sequence[Outcome]) -> list[tuple[str, str, Estimate]]:
     """Metric, unit and (value, low, high) of each."""
-    errors = np.array([result.add_over_diameter for result in results])
+    right = per_scene(results, lambda r: r.add_over_diameter < SUCCESS)
+    once = len(right) == len(results)
+    means: list[tuple[str, str, Callable[[Outcome], float]]] = [
+        ("add_over_diameter", "1", lambda r: r.add_over_diameter),
+        ("capped_add_over_diameter", "1", lambda r: r.capped),
+        ("travel", "m", lambda r: r.travel),
+        ("second_views", "1", lambda r: r.views),
+    ]
     return [
-        ("add_s_recall", "1", wilson(int((errors < SUCCESS).sum()), len(errors))),
-        ("add_over_diameter", "1", mean_interval(errors)),
-        ("capped_add_over_diameter", "1", mean_interval(np.minimum(errors, 1.0))),
-        ("travel", "m", mean_interval(np.array([result.travel for result in results]))),
-        ("second_views", "1", mean_interval(np.array([float(r.views) for r in results]))),
+        (
+            "add_s_recall",
+            "1",
+            wilson(int(right.sum()), len(right)) if once else mean_interval(right),
+        ),
+        *((metric, unit, mean_interval(per_scene(results, f))) for metric, unit, f in means),
     ]
 
 
@@ -123,10 +146,10 @@ def _comparisons(outcomes: Mapping[str, Sequence[Outcome]], scene: str) -> list[
     """Every policy against ``max-baseline``, and how much of its way to the oracle it has gone."""
     if RULE not in outcomes:
         return []
-    capped = {name: np.array([r.capped for r in results]) for name, results in outcomes.items()}
+    capped = {name: per_scene(rows, lambda r: r.capped) for name, rows in outcomes.items()}
     right = {
-        name: np.array([r.add_over_diameter < SUCCESS for r in results], dtype=float)
-        for name, results in outcomes.items()
+        name: per_scene(rows, lambda r: r.add_over_diameter < SUCCESS)
+        for name, rows in outcomes.items()
     }
     count = len(capped[RULE])
     times = _resamples(count)
@@ -202,25 +225,25 @@ def print_table(outcomes: Mapping[str, Sequence[Outcome]], title: str) -> None:
     closed = RULE in outcomes and ORACLE in outcomes
     columns = [
         "policy",
-        "ADD(-S) < 0.1 d",
+        "ADD(-S)<0.1d, %",
         "min(ADD(-S)/d, 1)",
         *(["gap closed"] if closed else []),
     ]
     for column in [*columns, "travel", *(["second views"] if several else []), "n"]:
         table.add_column(column, justify="left" if column == "policy" else "right")
-    capped = {name: np.array([r.capped for r in results]) for name, results in outcomes.items()}
+    capped = {name: per_scene(rows, lambda r: r.capped) for name, rows in outcomes.items()}
     for policy, results in outcomes.items():
         (_, _, recall), _, (_, _, error), (_, _, travel), (_, _, views) = statistics(results)
         cells = [
             short(policy),
-            f"{100 * recall[0]:.1f} % ({100 * recall[1]:.1f} to {100 * recall[2]:.1f})",
-            f"{error[0]:.3f} ({error[1]:.3f} to {error[2]:.3f})",
+            f"{100 * recall[0]:.1f} ({100 * recall[1]:.1f}-{100 * recall[2]:.1f})",
+            f"{error[0]:.3f} ({error[1]:.3f}-{error[2]:.3f})",
         ]
         if closed:
             share = gap_closed(capped[policy], capped[RULE], capped[ORACLE])
             cells.append("" if share is None or policy == STAY else f"{100 * share[0]:.0f} %")
         cells += [f"{travel[0]:.2f} m", *([f"{views[0]:.2f}"] if several else [])]
-        table.add_row(*cells, str(len(results)))
+        table.add_row(*cells, str(len(capped[policy])))
     Console().print(table)
 
 

@@ -33,18 +33,19 @@ def view_spheres(
         count: how many scenes.
     """
     scenes = _telling(bank, count)
-    figure = new_figure(2.9 * len(scenes), 5.6)
+    figure = new_figure(2.7 * len(scenes), 4.9)
+    rows = figure.add_gridspec(2, len(scenes), height_ratios=(1.0, 0.62))
     marked = [RULE, *(name for name in outcomes if name not in BASELINES), ORACLE]
     names = [name for name in marked if name in outcomes][: len(_MARKS)]
     for column, scene in enumerate(scenes):
-        picture = figure.add_subplot(2, len(scenes), column + 1)
+        picture = figure.add_subplot(rows[0, column])
         picture.imshow(bank.first["image"][scene], interpolation="nearest")
         picture.set_axis_off()
         name = bank.header.object_names[int(bank.object_index[scene])]
         picture.set_title(
             f"{name}, {100 * bank.visibility[scene]:.0f} % visible", fontsize=10, color=INK
         )
-        axis: Any = figure.add_subplot(2, len(scenes), len(scenes) + column + 1, projection="polar")
+        axis: Any = figure.add_subplot(rows[1, column], projection="polar")
         dots = _draw_sphere(axis, bank, scene)
         for mark, policy in zip(_MARKS, names, strict=False):
             slot = _slot_of(bank, scene, outcomes[policy][scene])
@@ -69,7 +70,7 @@ def _draw_sphere(axis: Any, bank: ViewBank, scene: int) -> Any:
     axis.set_theta_zero_location("S")
     axis.set_thetalim(-np.pi / 2 - 0.1, np.pi / 2 + 0.1)
     axis.set_rlim(0, 90)
-    axis.set_rticks([20, 45, 70], labels=["70°", "45°", "20°"], fontsize=7, color="#8c959f")
+    axis.set_rticks([20, 45, 70], labels=[])
     axis.set_xticks([])
     axis.grid(True, color="#e6e9ed")
     axis.spines["polar"].set_color("#d0d7de")

@@ -18,6 +18,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecTransposeImage
 
 from ..pose_estimator.results import write_results
+from .candidates import take_predictor
 from .checkpoint import AgentHeader, describe_space, read_agent, write_agent
 from .config import BOX_ENV, DISCRETE_ENV, TrainAgentConfig
 from .hyperparameters import ALGORITHMS, GREEDY, algorithm_kwargs, load_hyperparameters
@@ -63,6 +64,8 @@ def train_agent(config: TrainAgentConfig) -> Path:
     try:
         header = _header(config, entry, venv)
         model = _make_model(config, entry, venv)
+        if config.init is not None:
+            take_predictor(model.policy, config.init)
         callbacks: list[BaseCallback] = [_Checkpoints(header, config)]
         if replay:
             model.best_mean_reward = _WORST  # type: ignore[attr-defined]

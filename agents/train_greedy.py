@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from ..envs.view_bank import ViewBank
+from ..envs.view_bank import ViewBank, read_bank
 from ..pose_estimator.results import write_results
 from .checkpoint import AgentHeader, describe_space, write_agent
 from .config import TrainAgentConfig
@@ -43,6 +43,7 @@ def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
         hyperparameters,
         config.seed,
         config.progress,
+        None if config.more_scenes is None else read_bank(config.more_scenes),
     )
     seconds = time.perf_counter() - began
     header = AgentHeader(
@@ -77,5 +78,7 @@ def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
             {"metric": "training_time", "value": seconds, "unit": "s", **tags},
         ]
         command = f"train-agent --algo greedy --bank {config.bank} --out {config.out}"
+        if config.more_scenes is not None:
+            command += f" --more-scenes {config.more_scenes}"
         write_results(config.json, records, command=command, seed=config.seed)
     return path

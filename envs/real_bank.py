@@ -172,7 +172,7 @@ class _RealRecorder:
         arrays = one_scene(observe(first, T_ref_world), first, [outcomes[i] for i in slots])
         return arrays | {
             "object_index": np.array([self._names.index(name)], np.int16),
-            "scene_seed": np.array([image.image_id], np.int64),
+            "scene_seed": np.array([1_000_000 * image.scene_id + image.image_id], np.int64),
             "visibility": np.array([truth.visibility], np.float32),
             "K": image.K[None].astype(np.float64),
             "T_cam_world": T_ref_world[None],

@@ -71,7 +71,7 @@ def test_lines_of_sight_are_where_they_are_seen(make_bank: Make) -> None:
     bank = make_bank(6)
     space = channels_first(gym.make(REPLAY, bank=bank))
     agent = train_agent_networks(bank, space, replace(QUICK, epochs=1), 0, False)
-    observations, views, _ = Lessons.of(bank).batch(torch.arange(6))
+    observations, views = Lessons.of(bank).batch(torch.arange(6))
     places = agent.networks[0].line_of_sight(observations, views).numpy()
     spans = crop_spans(bank.header.diameters)
     for scene in range(6):

@@ -54,6 +54,16 @@ def test_differences_are_paired() -> None:
     assert find(records, policy="max-baseline", metric="gap_closed")["value"] == 0.0
 
 
+def test_scenes_played_twice_are_not_more_scenes() -> None:
+    rows = [Outcome("cat", e, 0.3, 0.5, scene=i) for i, e in enumerate((0.05, 0.2, 0.6, 0.08))]
+    once = make_records({"random": rows}, "heap")
+    twice = make_records({"random": rows + rows}, "heap")
+    for metric in ("capped_add_over_diameter", "travel"):
+        tags = {"metric": metric, "object": "mean", "visibility": None}
+        assert find(twice, **tags) == find(once, **tags)
+    assert find(twice, metric="add_s_recall", object="mean", visibility=None)["n"] == 4
+
+
 def test_bins_of_visibility() -> None:
     rows = outcomes([0.05, 0.2], 0.3) + outcomes([0.05, 0.05, 0.3], 1.0)
     records = make_records({"stay": rows}, "heap")
