@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from ..envs.two_view_pose import CANDIDATE_VIEWS
 from .checkpoint import check_tensors, read_agent, subset
-from .greedy import ErrorPredictor
+from .predictor import ErrorPredictor
 
 
 class CandidateExtractor(BaseFeaturesExtractor):

@@ -28,9 +28,9 @@ class DemoConfig:
     scene: Scene = "occlusion"
     """Light clutter, heavy clutter, an object between tall things, or in a heap."""
     policy: str = "greedy"
-    """Who chooses the second view: greedy (a trained agent that ships), random, fixed (30 degrees to
-    the side), above, max-baseline (farthest in angle), uncertainty, oracle (knows the truth), or a
-    file that train-agent wrote."""
+    """Who chooses the second view: greedy (a trained agent that ships), random, fixed (30 degrees
+    to the side), above, max-baseline (farthest in angle), uncertainty, oracle (knows the truth),
+    or a file that train-agent wrote."""
     seed: int = 0
     """Same seed, same scene."""
     env: Literal["TwoViewPose-v0", "TwoViewPoseDiscrete-v0"] = "TwoViewPose-v0"

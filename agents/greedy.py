@@ -16,13 +16,10 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from torch import Tensor, nn
-from torch.nn import functional as F
 
-from ..envs.observation import SURROUNDINGS
-from ..pose_estimator.features import FeatureConfig
 from .checkpoint import AgentHeader, check_tensors
-from .extractor import ViewExtractor
 from .judge import Judge, judge_features, judge_inputs
+from .predictor import ErrorPredictor, view_features
 from .view_sphere import (
     Action,
     camera_poses,
@@ -32,149 +29,11 @@ from .view_sphere import (
     view_directions,
 )
 
-VIEW_FEATURES = 8
-
-ROI_SCALE = FeatureConfig().roi_scale
-"""Side of a region of interest in object diameters."""
-
 SURE = 0.85
 """Probability of a right pose from which on an agent does not look again."""
 
 NEAR = np.deg2rad(25.0)
 """Views so close to one that has been taken are left out."""
-
-LINE_POINTS = (0.0, 0.04, 0.08, 0.12, 0.17, 0.23, 0.3)
-"""Distances from the object in metres at which the line of sight is looked up in the crop."""
-
-
-class ErrorPredictor(nn.Module):
-    """Predicts min(ADD(-S) / diameter, 1) after a second view from each of N directions.
-
-    What would hide the object from a view stands on the line from the object to that camera, and
-    that line is seen in the reference picture. So besides the whole crop, the network looks at the
-    crop's features along the projected line of every candidate: what it learns of a box to the
-    left serves for one to the right. It also predicts how much of the object a view would show,
-    which teaches it to see what is in the way.
-
-    Args:
-        observation_space: of the environment, its image with channels first.
-        spans: for each object how many metres the crop is wide at the object, (n,).
-        features_dim, width, dropout: see :class:`ViewExtractor`.
-    """
-
-    spans: Tensor
-
-    def __init__(
-        self,
-        observation_space: spaces.Dict,
-        spans: Sequence[float],
-        features_dim: int = 128,
-        width: int = 12,
-        dropout: float = 0.2,
-    ) -> None:
-        super().__init__()
-        self.extractor = ViewExtractor(observation_space, features_dim, width, dropout)
-        self.register_buffer("spans", torch.tensor(spans, dtype=torch.float32))
-        self.lines = nn.Sequential(
-            nn.Conv2d(3, width, 3, stride=2, padding=1),
-            nn.ReLU(),
-            nn.Conv2d(width, 2 * width, 3, stride=2, padding=1),
-            nn.ReLU(),
-            nn.Conv2d(2 * width, width, 3, padding=1),
-            nn.ReLU(),
-        )
-        self.line = nn.Sequential(nn.Dropout(dropout), nn.Linear(len(LINE_POINTS) * width, 64))
-        self.view = nn.Linear(VIEW_FEATURES + 64, features_dim)
-        self.mix = nn.Sequential(
-            nn.ReLU(),
-            nn.Linear(features_dim, features_dim),
-            nn.ReLU(),
-            nn.Dropout(dropout),
-            nn.Linear(features_dim, features_dim),
-            nn.ReLU(),
-        )
-        self.visibility = nn.Linear(features_dim, 1)
-        self.error = nn.Linear(features_dim + 1, 1)
-
-    def forward(self, observations: dict[str, Tensor], views: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits of the predicted errors and of the visible fractions of the object, (B, N) each.
-
-        Args:
-            observations: a batch, images 0 to 1 with channels first.
-            views: (B, N, 11), see :func:`view_features`.
-        """
-        scene = self.extractor(observations)
-        maps = self.lines(observations["image"] - 0.5)
-        seen = F.grid_sample(maps, self.line_of_sight(observations, views), align_corners=False)
-        line = F.relu(self.line(seen.permute(0, 2, 3, 1).flatten(2)))
-        told = torch.cat([views[..., :VIEW_FEATURES], line], dim=-1)
-        mixed = self.mix(scene[:, None] + self.view(told))
-        visible = self.visibility(mixed)
-        error = self.error(torch.cat([mixed, torch.sigmoid(visible)], dim=-1))
-        return error[..., 0], visible[..., 0]
-
-    def line_of_sight(self, observations: dict[str, Tensor], views: Tensor) -> Tensor:
-        """Where the lines from the object to the candidates are in the crop.
-
-        Returns:
-            (B, N, P, 2) places of P points, -1 to 1 within the crop.
-        """
-        right, down, forward = views[..., VIEW_FEATURES:].unbind(-1)
-        along = torch.tensor(LINE_POINTS)
-        half = (observations["object"] @ self.spans).clamp(min=1e-3)[:, None, None] / 2
-        distance = observations["camera"][:, 0].clamp(min=0.2)[:, None, None]
-        nearer = distance / (distance + forward[..., None] * along).clamp(min=0.1)
-        places = torch.stack([right[..., None] * along, down[..., None] * along], dim=-1)
-        return places * (nearer / half)[..., None]
-
-
-def crop_spans(diameters: Sequence[float]) -> list[float]:
-    """How many metres a crop is wide at an object that its region of interest fits, for each."""
-    return [SURROUNDINGS * ROI_SCALE * diameter for diameter in diameters]
-
-
-def view_features(
-    T_cam_world: np.ndarray, centre: np.ndarray, T_second_world: np.ndarray, mirrored: bool = False
-) -> np.ndarray:
-    """What the network is told of candidate views.
-
-    Args:
-        T_cam_world: reference camera, (..., 4, 4).
-        centre: the object, (..., 3), world.
-        T_second_world: cameras of the candidates, (..., N, 4, 4).
-        mirrored: tell it of the same scene in a mirror.
-
-    Returns:
-        (..., N, 11) float32: direction from the object with the reference camera at azimuth 0,
-        angle to the reference view, elevations; then the direction in the reference camera: right,
-        down, forward.
-    """
-
-    def directions(T: np.ndarray, middle: np.ndarray) -> np.ndarray:
-        offset = -np.einsum("...ji,...j->...i", T[..., :3, :3], T[..., :3, 3]) - middle
-        return offset / np.linalg.norm(offset, axis=-1, keepdims=True)
-
-    first = directions(T_cam_world, centre)[..., None, :]
-    second = directions(T_second_world, centre[..., None, :])
-    seen = np.einsum("...ij,...nj->...ni", T_cam_world[..., :3, :3], second)
-    azimuth = np.arctan2(second[..., 1], second[..., 0]) - np.arctan2(first[..., 1], first[..., 0])
-    azimuth = -azimuth if mirrored else azimuth
-    elevation, reference = np.arcsin(second[..., 2]), np.arcsin(first[..., 2])
-    angle = np.arccos(np.clip((first * second).sum(axis=-1), -1, 1))
-    parts = (
-        np.cos(elevation) * np.cos(azimuth),
-        np.cos(elevation) * np.sin(azimuth),
-        np.sin(elevation),
-        angle,
-        np.sin(angle),
-        np.sin(2 * azimuth),
-        np.cos(2 * azimuth),
-        elevation - reference,
-        -seen[..., 0] if mirrored else seen[..., 0],
-        seen[..., 1],
-        seen[..., 2],
-    )
-    return np.stack(parts, axis=-1).astype(np.float32)
 
 
 def to_tensors(observation: Mapping[str, np.ndarray]) -> dict[str, Tensor]:

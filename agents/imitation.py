@@ -15,9 +15,10 @@ from tqdm import tqdm
 from ..envs.actions import check_candidates
 from ..envs.mirror import Mirror
 from ..envs.view_bank import ViewBank
-from .greedy import ErrorPredictor, GreedyAgent, crop_spans, view_features
+from .greedy import GreedyAgent
 from .hyperparameters import GreedyHyperparameters
 from .judge import train_judge
+from .predictor import ErrorPredictor, crop_spans, view_features
 
 SHIFT = 2
 """Pixels by which a crop is shifted at most in training."""

@@ -11,11 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecTransposeImage
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from ..pose_estimator.results import write_results
 from .candidates import take_predictor
@@ -23,11 +22,17 @@ from .checkpoint import AgentHeader, describe_space, read_agent, write_agent
 from .config import BOX_ENV, DISCRETE_ENV, TrainAgentConfig
 from .hyperparameters import ALGORITHMS, GREEDY, algorithm_kwargs, load_hyperparameters
 from .training_state import counters, restart, restore_state, state_tensors
+from .validation import (
+    POLICY,
+    WORST,
+    make_env,
+    make_validation,
+    record_missing,
+    save_policy,
+    split_bank,
+)
 
-CHECKPOINT, POLICY, LOGS = "checkpoint.safetensors", "policy.safetensors", "tb"
-
-_WORST = -1e9
-"""Less than any mean reward."""
+CHECKPOINT, LOGS = "checkpoint.safetensors", "tb"
 
 
 def train_agent(config: TrainAgentConfig) -> Path:
@@ -42,6 +47,8 @@ def train_agent(config: TrainAgentConfig) -> Path:
     Raises:
         ValueError: if an argument is wrong, or the folder holds a run of other arguments.
     """
+    if config.record:
+        record_missing(config)
     entry = load_hyperparameters(
         config.algo, config.env_id.rpartition(":")[2], config.hyperparameters
     )
@@ -56,7 +63,7 @@ def train_agent(config: TrainAgentConfig) -> Path:
     arguments, replay = config.environment_arguments, config.bank is not None
     learning, validating = split_bank(config) if replay else ({}, {})
     venv = make_vec_env(
-        functools.partial(_make_env, config.env_id, arguments | learning),
+        functools.partial(make_env, config.env_id, arguments | learning),
         n_envs=n_envs,
         seed=config.seed,
         vec_env_cls=DummyVecEnv if n_envs == 1 or replay else SubprocVecEnv,
@@ -68,8 +75,8 @@ def train_agent(config: TrainAgentConfig) -> Path:
             take_predictor(model.policy, config.init)
         callbacks: list[BaseCallback] = [_Checkpoints(header, config)]
         if replay:
-            model.best_mean_reward = _WORST  # type: ignore[attr-defined]
-            callbacks.append(_validation(header, config, arguments | validating, n_envs))
+            model.best_mean_reward = WORST  # type: ignore[attr-defined]
+            callbacks.append(make_validation(header, config, arguments | validating, n_envs))
         resumed = _resume(model, header, config)
         if resumed:
             print(f"Resuming {config.out} at step {model.num_timesteps} of {steps}.")
@@ -121,73 +128,6 @@ def save_agent(model: BaseAlgorithm, header: AgentHeader, out: Path, policy: boo
     if policy:
         save_policy(model, header, out)
     write_agent(out / CHECKPOINT, replace(header, counters=counters(model)), state_tensors(model))
-
-
-def save_policy(model: BaseAlgorithm, header: AgentHeader, out: Path) -> None:
-    """Writes the policy as it is now into ``out``."""
-    weights = {f"policy/{key}": value for key, value in model.policy.state_dict().items()}
-    write_agent(out / POLICY, replace(header, steps=model.num_timesteps), weights)
-
-
-def split_bank(config: TrainAgentConfig) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Arguments of the replay environment for learning and for validation.
-
-    Raises:
-        ValueError: if there is no such bank, or it has too few scenes.
-    """
-    from ..envs.view_bank import read_bank
-
-    assert config.bank is not None
-    scenes = len(read_bank(config.bank))
-    if scenes <= config.validation:
-        raise ValueError(
-            f"{config.bank} has {scenes} scenes: too few to keep {config.validation} for "
-            "validation; record more, or pass a smaller --validation"
-        )
-    kept = scenes - config.validation
-    return {"scenes": (0, kept), "mirror": True}, {"scenes": (kept, scenes), "in_turn": True}
-
-
-class _Best(BaseCallback):
-    """Writes the policy that has just been found the best one."""
-
-    def __init__(self, header: AgentHeader, out: Path) -> None:
-        super().__init__()
-        self._header, self._out = header, out
-
-    def _on_step(self) -> bool:
-        assert isinstance(self.parent, EvalCallback)
-        self.model.best_mean_reward = float(self.parent.best_mean_reward)  # type: ignore[attr-defined]
-        save_policy(self.model, self._header, self._out)
-        return True
-
-
-class _Validation(EvalCallback):
-    """SB3's, which also knows what an earlier part of the run has reached."""
-
-    def _init_callback(self) -> None:
-        super()._init_callback()
-        self.best_mean_reward = self.model.best_mean_reward  # type: ignore[attr-defined]
-
-
-def _validation(
-    header: AgentHeader, config: TrainAgentConfig, arguments: dict[str, Any], n_envs: int
-) -> EvalCallback:
-    """Measures the policy on the validation scenes, and keeps the best one."""
-    make = functools.partial(_make_env, config.env_id, arguments)
-    return _Validation(
-        VecTransposeImage(make_vec_env(make, n_envs=1, seed=config.seed, vec_env_cls=DummyVecEnv)),
-        callback_on_new_best=_Best(header, config.out),
-        n_eval_episodes=config.validation,
-        eval_freq=max(1, config.evaluate_every // n_envs),
-        deterministic=True,
-        verbose=0,
-    )
-
-
-def _make_env(env_id: str, arguments: dict[str, Any]) -> gym.Env:
-    """Makes the environment in whichever process this runs; unpickling it registers the ids."""
-    return gym.make(env_id, **arguments)
 
 
 def _make_model(config: TrainAgentConfig, entry: dict[str, Any], venv: VecEnv) -> BaseAlgorithm:

@@ -16,8 +16,8 @@ from .checkpoint import AgentHeader, describe_space, write_agent
 from .config import TrainAgentConfig
 from .hyperparameters import GREEDY, GreedyHyperparameters
 from .imitation import chosen_slots, train_agent_networks
-from .train import POLICY, split_bank
 from .trained import channels_first
+from .validation import POLICY, split_bank
 
 
 def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:

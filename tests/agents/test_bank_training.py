@@ -15,8 +15,8 @@ from two_view_pose.agents.candidates import candidate_features
 from two_view_pose.agents.checkpoint import read_agent
 from two_view_pose.agents.config import EvaluateAgentConfig, TrainAgentConfig
 from two_view_pose.agents.evaluate import evaluate_agents
-from two_view_pose.agents.greedy import view_features
 from two_view_pose.agents.policies import make_policy
+from two_view_pose.agents.predictor import view_features
 from two_view_pose.agents.train import CHECKPOINT, train_agent
 from two_view_pose.envs.view_bank import ViewBank, write_bank
 
@@ -116,7 +116,7 @@ def test_a_learner_is_told_what_a_greedy_agent_sees(
 ) -> None:
     greedy = train_agent(config(algo="greedy", out="greedy"))
     path = train_agent(config("CandidateExtractor", out="ppo", init=greedy))
-    header, weights = read_agent(path, prefix="policy/")
+    _, weights = read_agent(path, prefix="policy/")
     _, before = read_agent(greedy, prefix="policy/networks.0.")
     for key, value in before.items():
         name = key.replace("policy/networks.0.", "policy/features_extractor.predictor.")

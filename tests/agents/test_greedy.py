@@ -14,10 +14,11 @@ from made_bank import made_bank
 from two_view_pose.agents.checkpoint import read_agent, write_agent
 from two_view_pose.agents.config import TrainAgentConfig
 from two_view_pose.agents.evaluate import run_episodes
-from two_view_pose.agents.greedy import LINE_POINTS, GreedyPolicy, crop_spans
+from two_view_pose.agents.greedy import GreedyPolicy
 from two_view_pose.agents.hyperparameters import GreedyHyperparameters
 from two_view_pose.agents.imitation import Lessons, chosen_slots, train_agent_networks
 from two_view_pose.agents.policies import make_policy
+from two_view_pose.agents.predictor import LINE_POINTS, crop_spans
 from two_view_pose.agents.train import POLICY, train_agent
 from two_view_pose.agents.trained import channels_first
 from two_view_pose.envs.carrier import camera_centre
