@@ -16,7 +16,6 @@ from torch.nn import functional as F
 
 from ..envs.observation import SURROUNDINGS
 from ..pose_estimator.features import FeatureConfig
-from .extractor import ViewExtractor
 
 VIEW_FEATURES = 8
 
@@ -39,7 +38,9 @@ class ErrorPredictor(nn.Module):
     Args:
         observation_space: of the environment, its image with channels first.
         spans: for each object how many metres the crop is wide at the object, (n,).
-        features_dim, width, dropout: see :class:`ViewExtractor`.
+        features_dim: width of the layers that join what is known of a scene and of a view.
+        width: channels of the first convolution.
+        dropout: share of features that are left out in training.
     """
 
     spans: Tensor
@@ -53,7 +54,8 @@ class ErrorPredictor(nn.Module):
         dropout: float = 0.2,
     ) -> None:
         super().__init__()
-        self.extractor = ViewExtractor(observation_space, features_dim, width, dropout)
+        self._vectors = [key for key in observation_space.spaces if key != "image"]
+        state = sum(int(observation_space[key].shape[0]) for key in self._vectors)  # type: ignore[index]
         self.register_buffer("spans", torch.tensor(spans, dtype=torch.float32))
         self.lines = nn.Sequential(
             nn.Conv2d(3, width, 5, stride=2, padding=2),
@@ -68,6 +70,19 @@ class ErrorPredictor(nn.Module):
             nn.BatchNorm2d(2 * width),
             nn.ReLU(),
         )
+        self.whole = nn.Sequential(
+            nn.Conv2d(2 * width, 3 * width, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(3 * width, 4 * width, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.AdaptiveAvgPool2d(4),
+            nn.Flatten(),
+            nn.Dropout(dropout),
+            nn.Linear(16 * 4 * width, 96),
+            nn.ReLU(),
+        )
+        self.state = nn.Sequential(nn.Linear(state, 64), nn.ReLU())
+        self.scene = nn.Linear(96 + 64, features_dim)
         self.line = nn.Sequential(nn.Dropout(dropout), nn.Linear(2 * len(LINE_POINTS) * width, 64))
         self.view = nn.Linear(VIEW_FEATURES + 64, features_dim)
         self.mix = nn.Sequential(
@@ -88,8 +103,9 @@ class ErrorPredictor(nn.Module):
             observations: a batch, images 0 to 1 with channels first.
             views: (B, N, 11), see :func:`view_features`.
         """
-        scene = self.extractor(observations)
         maps = self.lines(observations["image"] - 0.5)
+        state = self.state(torch.cat([observations[key] for key in self._vectors], dim=1))
+        scene = self.scene(torch.cat([self.whole(maps), state], dim=1))
         seen = F.grid_sample(maps, self.line_of_sight(observations, views), align_corners=False)
         line = F.relu(self.line(seen.permute(0, 2, 3, 1).flatten(2)))
         told = torch.cat([views[..., :VIEW_FEATURES], line], dim=-1)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from two_view_pose.assets.object_model import ObjectModel
+from two_view_pose.envs.arrangement import target_visibility
 from two_view_pose.envs.camera import CameraRange, view_sphere_pose
 from two_view_pose.envs.randomization import Randomization
 from two_view_pose.envs.renderer import SceneRenderer
@@ -216,3 +217,23 @@ def test_an_object_without_its_mesh_is_not_drawn_as_a_box(objects: dict[str, Obj
     unseen = dataclasses.replace(objects["brick"], points=np.empty((0, 3)))
     with pytest.raises(ValueError, match=r"brick cannot be drawn.*mesh file"):
         Scene({"brick": unseen})
+
+
+def test_tall_things_hide_the_target_of_an_occlusion_scene_from_many_sides(
+    objects: dict[str, ObjectModel],
+) -> None:
+    seen = {}
+    for kind in ("clutter", "occlusion"):
+        scene = Scene(objects, SceneConfig(kind=kind), Randomization(textures=False))
+        fractions = []
+        for seed in range(8):
+            state = scene.reset(np.random.default_rng(seed), "brick")
+            T_world_obj = state.T_world_obj["brick"]
+            for azimuth in np.arange(0, 2 * np.pi, np.pi / 3):
+                T = view_sphere_pose(T_world_obj[:3, 3], 1.0, azimuth, np.deg2rad(45))
+                fractions.append(target_visibility(scene, "brick", T_world_obj, T))
+        seen[kind] = np.array(fractions)
+        scene.close()
+    assert seen["occlusion"].mean() < seen["clutter"].mean() - 0.1
+    hidden, hidden_in_clutter = (np.mean(seen[kind] < 0.5) for kind in ("occlusion", "clutter"))
+    assert hidden > 0.2 > hidden_in_clutter
