@@ -16,9 +16,7 @@ register(
     id="TwoViewPoseSequential-v0",
     entry_point="two_view_pose.envs.sequential:TwoViewPoseSequentialEnv",
 )
-register(
-    id="TwoViewPoseReplay-v0", entry_point="two_view_pose.envs.replay:TwoViewPoseReplayEnv"
-)
+register(id="TwoViewPoseReplay-v0", entry_point="two_view_pose.envs.replay:TwoViewPoseReplayEnv")
 register(
     id="TwoViewPoseDiscrete-v0",
     entry_point="two_view_pose.envs.two_view_pose:TwoViewPoseDiscreteEnv",

@@ -45,7 +45,7 @@ VERBS = {
     "record-bank": Verb(
         "envs.record_bank:RecordBankConfig",
         "envs.record_bank:record_bank",
-        "records every second view of many scenes, for training and tests without rendering",
+        "records every second view of many scenes, to train and test on",
     ),
     "cut-and-paste": Verb(
         "pose_estimator.cut_and_paste_command:CutAndPasteCommand",

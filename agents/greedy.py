@@ -29,7 +29,7 @@ from .view_sphere import (
     view_directions,
 )
 
-SURE = 0.85
+SURE = 0.95
 """Probability of a right pose from which on an agent does not look again."""
 
 NEAR = np.deg2rad(25.0)

@@ -61,7 +61,7 @@ class GreedyHyperparameters:
     width: int = 12
     dropout: float = 0.3
     networks: int = 4
-    sure: float = 0.85
+    sure: float = 0.95
 
 
 POLICY_KWARGS = frozenset(

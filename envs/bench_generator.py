@@ -44,7 +44,7 @@ def measure_generator(scenes: int, seed: int) -> list[dict[str, Any]]:
             Path(folder) / "set",
             scenes=scenes,
             views=VIEWS,
-            scene="occlusion",
+            scene="clutter",
             depth=True,
             workers=WORKERS,
             seed=seed,

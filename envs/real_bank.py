@@ -23,6 +23,7 @@ from ..pose_estimator.bop import BopImage, read_dataset, read_rgb
 from ..pose_estimator.bop_objects import dataset_objects, has_models
 from ..pose_estimator.bop_pairs import turned_round
 from ..pose_estimator.bop_targets import TARGETS_FILE, is_test, read_targets
+from ..pose_estimator.find_dataset import find_dataset
 from ..pose_estimator.find_pairs import find_pairs
 from ..pose_estimator.geometry import View, invert, make_transform
 from ..pose_estimator.metrics import add_or_add_s
@@ -70,14 +71,15 @@ class _RealRecorder:
 
         assert config.data is not None
         self._config = config
+        root = find_dataset(config.data)
         self._estimator: Any = pose_estimator.load("mid", config.weights)
         self._models = self._estimator.networks.objects
-        self._dataset = read_dataset(config.data, config.split)
+        self._dataset = read_dataset(root, config.split)
         self._names = tuple(load_objects(None))
         ids = {model.obj_id: name for name, model in self._models.items() if name in self._names}
         measured = (
-            dataset_objects(config.data, ids, ignore_unknown=True)
-            if has_models(Path(config.data))
+            dataset_objects(root, ids, ignore_unknown=True)
+            if has_models(root)
             else {i: self._models[name] for i, name in ids.items()}
         )
         self._measured = {ids[obj_id]: model for obj_id, model in measured.items()}

@@ -87,7 +87,9 @@ def test_nothing_in_a_file_is_executed(tmp_path: Path, agent: Path, config: Make
     ):
         hostile = replace(header, hyperparameters={"policy_kwargs": kwargs})
         write_agent(agent, hostile, tensors)
-        with pytest.raises(ValueError, match=r"policy_kwargs|activation_fn"):
+        with pytest.raises(
+            ValueError, match=r"policy_kwargs|activation_fn|features_extractor_class"
+        ):
             make_policy(agent, env)
     assert not crater.exists()
 
@@ -114,7 +116,7 @@ def test_damaged_files_are_refused(tmp_path: Path, agent: Path) -> None:
     save_file(tensors, bad, {"header": json.dumps({"format": header.format, "algo": "ppo"})})
     refused("damaged header: missing")
     write_agent(bad, replace(header, algo="a2c"), tensors)
-    refused("algo must be one of ppo, sac, dqn, got 'a2c'")
+    refused("algo must be one of ppo, sac, dqn, greedy, got 'a2c'")
     write_agent(bad, replace(header, hyperparameters={"colour": 1}), tensors)
     refused("unknown hyper-parameters of ppo: colour")
     name = next(iter(tensors))

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import gymnasium as gym
 import pytest
 import yaml
+from two_view_pose.agents.candidates import CandidateExtractor
 from two_view_pose.agents.hyperparameters import (
     ALGORITHMS,
+    GREEDY,
     SHIPPED,
+    GreedyHyperparameters,
     algorithm_kwargs,
     load_hyperparameters,
 )
+from two_view_pose.envs.view_bank import ViewBank
 
 ENTRIES = [
     (algo, env_id)
@@ -22,11 +27,28 @@ ENTRIES = [
 
 
 def test_every_algorithm_ships() -> None:
-    assert {algo for algo, _ in ENTRIES} == set(ALGORITHMS)
+    assert {algo for algo, _ in ENTRIES} == {*ALGORITHMS, GREEDY}
     assert ("ppo", "TwoViewPoseDiscrete-v0") in ENTRIES
 
 
-@pytest.mark.parametrize(("algo", "env_id"), ENTRIES)
+@pytest.mark.parametrize(("algo", "env_id"), [e for e in ENTRIES if "Replay" in e[1]])
+def test_shipped_entries_make_a_model_over_a_bank(
+    algo: str, env_id: str, make_bank: Callable[..., ViewBank]
+) -> None:
+    entry = load_hyperparameters(algo, env_id)
+    if algo == GREEDY:
+        GreedyHyperparameters(**entry)
+        return
+    action = "box" if algo == "sac" else "discrete"
+    env = gym.make(f"two_view_pose:{env_id}", bank=make_bank(4), action=action)
+    kwargs = algorithm_kwargs(entry)
+    model = ALGORITHMS[algo]("MultiInputPolicy", env, device="cpu", **{**kwargs, "batch_size": 64})
+    extractors = [m for m in model.policy.modules() if isinstance(m, CandidateExtractor)]
+    assert extractors
+    assert not any(p.requires_grad for e in extractors for p in e.predictor.parameters())
+
+
+@pytest.mark.parametrize(("algo", "env_id"), [e for e in ENTRIES if "Replay" not in e[1]])
 def test_shipped_entries_make_a_model(algo: str, env_id: str) -> None:
     entry = load_hyperparameters(algo, env_id)
     toy = "toy_env:ToyViewDiscrete-v0" if "Discrete" in env_id else "toy_env:ToyView-v0"

@@ -76,8 +76,8 @@ def test_same_seed_same_weights_and_interrupted_equals_whole(
     whole, again = config(algo, "whole", steps=96), config(algo, "again", steps=96)
     train_agent(whole)
 
-    def interrupt(*arguments: object) -> None:
-        save_agent(*arguments)
+    def interrupt(*arguments: object, **named: object) -> None:
+        save_agent(*arguments, **named)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(train, "save_agent", interrupt)
