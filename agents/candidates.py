@@ -17,6 +17,7 @@ from torch import Tensor, nn
 
 from ..envs.two_view_pose import CANDIDATE_VIEWS
 from .checkpoint import check_tensors, read_agent, subset
+from .extractor import vector_fields
 from .predictor import ErrorPredictor
 
 
@@ -38,8 +39,7 @@ class CandidateExtractor(BaseFeaturesExtractor):
         dropout: float = 0.0,
         frozen: bool = True,
     ) -> None:
-        self._vectors = [key for key in observation_space.spaces if key != "image"]
-        state = sum(int(observation_space[key].shape[0]) for key in self._vectors)  # type: ignore[index]
+        self._vectors, state = vector_fields(observation_space)
         super().__init__(observation_space, 2 * len(CANDIDATE_VIEWS) + state)
         objects = int(observation_space["object"].shape[0])  # type: ignore[index]
         self.predictor = ErrorPredictor(

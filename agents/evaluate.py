@@ -117,7 +117,7 @@ def _play(
 ) -> Outcome:
     """Plays the episode that has just begun to its end."""
     policy.reset(np.random.default_rng(sequence))
-    ended, info = False, {}
+    ended, info = False, dict[str, Any]()
     while not ended:
         observation, _, terminated, truncated, info = env.step(policy.act(observation))
         ended = terminated or truncated

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import cast
 
 import torch
 from gymnasium import spaces
@@ -33,8 +34,7 @@ class ViewExtractor(BaseFeaturesExtractor):
         dropout: float = 0.0,
     ) -> None:
         super().__init__(observation_space, features_dim)
-        self._vectors = [key for key in observation_space.spaces if key != "image"]
-        state = sum(int(observation_space[key].shape[0]) for key in self._vectors)  # type: ignore[index]
+        self._vectors, state = vector_fields(observation_space)
         channels = (3, width, 2 * width, 3 * width, 4 * width)
         layers: list[nn.Module] = []
         for inputs, outputs in pairwise(channels):
@@ -49,3 +49,10 @@ class ViewExtractor(BaseFeaturesExtractor):
         state = torch.cat([observations[key] for key in self._vectors], dim=1)
         image = self.image(self.cnn(observations["image"] - 0.5))
         return self.join(torch.cat([image, self.state(state)], dim=1))
+
+
+def vector_fields(observation_space: spaces.Dict) -> tuple[tuple[str, ...], int]:
+    """The fields of an observation but for the image, and how many numbers they are."""
+    boxes = {key: cast(spaces.Box, part) for key, part in observation_space.spaces.items()}
+    vectors = tuple(key for key in boxes if key != "image")
+    return vectors, sum(int(boxes[key].shape[0]) for key in vectors)

@@ -59,7 +59,7 @@ def recall_by_angle(outcomes: Mapping[str, Sequence[Outcome]], bank: ViewBank | 
     middle = [(ANGLES[b] + ANGLES[b + 1]) / 2 for b in bins]
     axis.plot(middle, [100 * right[place == b].mean() for b in bins], color="#24292f", label=label)
     for number, (name, results) in enumerate(outcomes.items()):
-        recall = 100 * np.mean([r.add_over_diameter < SUCCESS for r in results])
+        recall = 100 * float(np.mean([r.add_over_diameter < SUCCESS for r in results]))
         colour = PALETTE[number % len(PALETTE)]
         if name == STAY:
             axis.axhline(recall, color=colour, linestyle=":", label=name)

@@ -16,6 +16,7 @@ from torch.nn import functional as F
 
 from ..envs.observation import SURROUNDINGS
 from ..pose_estimator.features import FeatureConfig
+from .extractor import vector_fields
 
 VIEW_FEATURES = 8
 
@@ -54,8 +55,7 @@ class ErrorPredictor(nn.Module):
         dropout: float = 0.2,
     ) -> None:
         super().__init__()
-        self._vectors = [key for key in observation_space.spaces if key != "image"]
-        state = sum(int(observation_space[key].shape[0]) for key in self._vectors)  # type: ignore[index]
+        self._vectors, state = vector_fields(observation_space)
         self.register_buffer("spans", torch.tensor(spans, dtype=torch.float32))
         self.lines = nn.Sequential(
             nn.Conv2d(3, width, 5, stride=2, padding=2),

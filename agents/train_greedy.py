@@ -70,8 +70,8 @@ def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
         f"{capped:.3f}"
     )
     if config.json is not None:
-        tags = {"policy": os.fspath(path), "algo": GREEDY, "scene": bank.header.scene}
-        tags |= {"n": len(kept)}
+        tags: dict[str, Any] = {"policy": os.fspath(path), "algo": GREEDY, "n": len(kept)}
+        tags["scene"] = bank.header.scene
         records = [
             {"metric": "add_s_recall", "value": recall, "unit": "1", **tags},
             {"metric": "capped_add_over_diameter", "value": capped, "unit": "1", **tags},

@@ -11,6 +11,12 @@ import numpy as np
 
 from .observation import Observation
 
+_TRANSLATION = np.array([-1, 1, 1], dtype=np.float32)
+_ROTATION = np.array([1, -1, -1, -1, 1, 1], dtype=np.float32)
+"""Signs of S R S with S = diag(-1, 1, 1), its first two columns one after the other."""
+_CAMERA = np.array([1, 1, 1, -1, 1, -1, 1], dtype=np.float32)
+"""Signs of the distance, then sine and cosine of the elevation, of the azimuth, of the roll."""
+
 
 class Mirror:
     """Mirrors observations left to right, and the numbers of candidate views with them.
@@ -36,9 +42,7 @@ class Mirror:
         """The observation of the mirrored scene; also of a batch of them (..., n)."""
         flipped = dict(observation)
         flipped["image"] = observation["image"][..., ::-1, :].copy()
-        flipped["translation"] = observation["translation"] * np.float32([-1, 1, 1])
-        # S R S with S = diag(-1, 1, 1): the two columns are kept one after the other.
-        flipped["rotation"] = observation["rotation"] * np.float32([1, -1, -1, -1, 1, 1])
-        # distance, sine and cosine of elevation, of azimuth, of roll
-        flipped["camera"] = observation["camera"] * np.float32([1, 1, 1, -1, 1, -1, 1])
+        flipped["translation"] = observation["translation"] * _TRANSLATION
+        flipped["rotation"] = observation["rotation"] * _ROTATION
+        flipped["camera"] = observation["camera"] * _CAMERA
         return flipped

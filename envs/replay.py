@@ -99,7 +99,9 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         self._candidates = check_candidates(self.bank.header.candidate_views)
         self._mirror = Mirror(self._candidates) if mirror else None
         image_size = self.bank.first["image"].shape[1]
-        self.observation_space = observation_space(len(self.object_names), image_size)
+        self.observation_space: spaces.Space[Any] = observation_space(
+            len(self.object_names), image_size
+        )
         self.action_space: spaces.Space[Any] = (
             spaces.Discrete(self.bank.slots)
             if action == "discrete"
