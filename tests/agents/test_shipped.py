@@ -1,0 +1,44 @@
+"""The agents that ship act in the environments that they are for, and say where they come from."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from two_view_pose.agents.checkpoint import read_agent
+from two_view_pose.agents.policies import make_policy, shipped_agents
+
+RENDERED = {"estimator": None, "scene": "linemod", "resolution": (120, 160)}
+
+
+def test_their_names() -> None:
+    assert set(shipped_agents()) == {"greedy", "ppo"}
+
+
+@pytest.mark.parametrize("name", sorted(shipped_agents()))
+def test_their_headers(name: str) -> None:
+    header, _ = read_agent(shipped_agents()[name])
+    assert header.env == "TwoViewPoseReplay-v0" and header.commit
+    assert header.env_kwargs == {"bank": "data/banks/train.npz", "action": "discrete"}
+
+
+@pytest.mark.parametrize(
+    ("name", "env_id"),
+    [
+        ("greedy", "TwoViewPose-v0"),
+        ("greedy", "TwoViewPoseDiscrete-v0"),
+        ("greedy", "TwoViewPoseSequential-v0"),
+        ("ppo", "TwoViewPoseDiscrete-v0"),
+    ],
+)
+def test_they_act(name: str, env_id: str) -> None:
+    env = gym.make(f"two_view_pose:{env_id}", **RENDERED)
+    policy = make_policy(name, env)
+    observation, _ = env.reset(seed=0)
+    policy.reset(np.random.default_rng(0))
+    action = policy.act(observation)
+    assert env.action_space.contains(action)
+    policy.reset(np.random.default_rng(1))
+    again = policy.act(observation)
+    assert np.array_equal(action, again)
+    env.close()
