@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from estimators import ConstantEstimator, TableEstimator, pose, relative
 from two_view_pose.envs.carrier import PoseNoise, camera_centre
+from two_view_pose.envs.observation import SURROUNDINGS
 from two_view_pose.envs.two_view_pose import CANDIDATE_VIEWS, TwoViewPoseDiscreteEnv
 from two_view_pose.pose_estimator.geometry import invert, transform
 
@@ -194,9 +196,10 @@ def test_camera_observation(make):
     np.testing.assert_allclose(observation["camera"], expected, atol=1e-5)
 
 
-def test_crop_shows_what_the_detection_frames(make):
+def test_crop_shows_the_detection_and_what_is_around_it(make):
     estimator = ConstantEstimator()
-    env = make(estimator=estimator, image_size=60)  # the side of the region: one to one
+    estimator.roi = replace(estimator.roi, side=60 / SURROUNDINGS)
+    env = make(estimator=estimator, image_size=60)  # the side of the crop: one to one
     observation, _ = env.reset(seed=0)
     picture = env.views[0].image
     half = 0.5 * (picture[30:90, 50:110].astype(float) + picture[31:91, 51:111])  # centre 80, 60

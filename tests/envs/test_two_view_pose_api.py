@@ -19,7 +19,8 @@ from PIL import Image
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 from two_view_pose.envs.window import Window
 
-IDS = ("TwoViewPose-v0", "TwoViewPoseDiscrete-v0")
+IDS = ("TwoViewPose-v0", "TwoViewPoseDiscrete-v0", "TwoViewPoseSequential-v0")
+REPLAY = "TwoViewPoseReplay-v0"  # renders nothing; see test_replay.py
 
 
 @pytest.fixture
@@ -36,7 +37,7 @@ def vector(small) -> Iterator[gym.vector.VectorEnv]:
 
 
 def test_every_id_is_tested():
-    assert {name for name in gym.registry if name.startswith("TwoViewPose")} == set(IDS)
+    assert {name for name in gym.registry if name.startswith("TwoViewPose")} == {*IDS, REPLAY}
 
 
 @pytest.mark.parametrize("env_id", IDS)
