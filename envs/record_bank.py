@@ -42,6 +42,9 @@ class RecordBankConfig:
     """Names of objects or mesh files; by default the 13 of LineMOD."""
     estimator: str = "mid"
     """What estimates the pose: `mid`, `single`, or a .safetensors file of your own for `mid`."""
+    pose_noise: tuple[float, float] | None = None
+    """Standard deviations, degrees and metres, of the error in the relative camera pose that the
+    estimator is told; none = told exactly."""
     answers: bool = True
     """Ask the estimator about every second view. If not, only what is visible from each is
     recorded, in a tenth of the time: more scenes from which `--algo greedy` learns to see."""
@@ -79,6 +82,8 @@ class RecordBankConfig:
     def environment_arguments(self) -> dict[str, Any]:
         """What the environment is made with."""
         arguments: dict[str, Any] = {"scene": self.scene, "estimator": self.estimator}
+        if self.pose_noise is not None:
+            arguments["pose_noise"] = self.pose_noise
         return arguments | ({"objects": list(self.objects)} if self.objects else {})
 
     def maker(self) -> BankRecorder:
@@ -180,6 +185,7 @@ def make_header(config: RecordBankConfig) -> BankHeader:
         candidate_views=CANDIDATE_VIEWS,
         estimator=config.estimator,
         seed=config.seed,
+        settings={} if config.pose_noise is None else {"pose_noise": config.pose_noise},
     )
 
 
@@ -232,6 +238,7 @@ def _claim(config: RecordBankConfig) -> None:
 def _check_same(header: BankHeader, config: RecordBankConfig) -> None:
     """Refuses to take a finished bank of other scenes for this one."""
     same = header.seed == config.seed and header.estimator == config.estimator
+    same &= header.settings.get("pose_noise") == config.pose_noise
     if config.data is None and not (same and header.scene == config.scene):
         raise ValueError(
             f"{config.out} is a bank of other scenes ({header.source}, {header.scene}, seed "

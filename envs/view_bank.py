@@ -203,4 +203,6 @@ def _digest(arrays: Mapping[str, np.ndarray]) -> str:
 
 def _tuples(value: Any) -> Any:
     """JSON's lists as the tuples that they were."""
+    if isinstance(value, dict):
+        return {key: _tuples(part) for key, part in value.items()}
     return tuple(_tuples(v) for v in value) if isinstance(value, list) else value

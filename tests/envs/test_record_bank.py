@@ -54,8 +54,9 @@ def test_a_finished_bank_is_not_recorded_again(
     record_bank(replace(config, verify=True))
     assert capsys.readouterr().out.count("checksum fits") == 2
     assert not config.parts.exists()
-    with pytest.raises(ValueError, match="bank of other scenes"):
-        record_bank(replace(config, seed=6))
+    for other in (replace(config, seed=6), replace(config, pose_noise=(0.5, 0.003))):
+        with pytest.raises(ValueError, match="bank of other scenes"):
+            record_bank(other)
 
 
 def test_a_killed_run_goes_on(config: RecordBankConfig, tmp_path: Path) -> None:
