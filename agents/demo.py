@@ -117,7 +117,7 @@ def _print(config: DemoConfig, info: dict[str, Any], seconds: float) -> None:
     )
     console.print(
         f"second view  {info['baseline_deg']:.0f} degrees from the first, chosen by "
-        f"{config.policy}; the camera moved {info['travel']:.2f} m"
+        f"{config.policy}; it moved {info['travel']:.2f} m"
     )
     console.print(make_table(info))
     console.print(f"picture      {config.out}   ({seconds:.1f} s in all)")
