@@ -164,21 +164,3 @@ def chosen_slots(agent: GreedyAgent, bank: ViewBank) -> np.ndarray:
     """The slot of least predicted error in every scene of a bank, (M,)."""
     observations, views = Lessons.of(bank).batch(torch.arange(len(bank)))
     return agent.predict(observations, views).argmin(axis=1)
-
-
-def view_angles(bank: ViewBank) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where the recorded cameras are: azimuth from the reference's and elevation (M, N), radians.
-
-    Returns:
-        Both, and the elevation of the reference camera (M,).
-    """
-
-    def angles(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        centres = -np.einsum("...ji,...j->...i", T[..., :3, :3], T[..., :3, 3])
-        middle = bank.centre if T.ndim == 3 else bank.centre[:, None]
-        x, y, z = np.moveaxis(centres - middle, -1, 0)
-        return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
-
-    azimuth, elevation = angles(bank.second_T_cam_world)
-    reference_azimuth, reference_elevation = angles(bank.T_cam_world)
-    return azimuth - reference_azimuth[:, None], elevation, reference_elevation

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..envs.observation import SpherePosition
 from ..envs.view_bank import ViewBank
 from ..pose_estimator.study_figures import INK, new_figure
 from .outcomes import ORACLE, RULE, Outcome, short
@@ -50,7 +51,7 @@ def view_spheres(
         for mark, policy in zip(_MARKS, names, strict=False):
             slot = _slot_of(bank, scene, outcomes[policy][scene])
             if slot is not None:
-                azimuth, elevation = _places(bank, scene)
+                azimuth, elevation, _ = _places(bank, scene)
                 axis.plot(
                     azimuth[slot], 90 - np.degrees(elevation[slot]), mark, fillstyle="none",
                     color=INK, markersize=9 + 3 * _MARKS.index(mark), markeredgewidth=1.2,
@@ -66,7 +67,7 @@ def view_spheres(
 
 
 def _draw_sphere(axis: Any, bank: ViewBank, scene: int) -> Any:
-    azimuth, elevation = _places(bank, scene)
+    azimuth, elevation, reference = _places(bank, scene)
     axis.set_theta_zero_location("S")
     axis.set_thetalim(-np.pi / 2 - 0.1, np.pi / 2 + 0.1)
     axis.set_rlim(0, 90)
@@ -79,22 +80,21 @@ def _draw_sphere(axis: Any, bank: ViewBank, scene: int) -> Any:
         azimuth, 90 - np.degrees(elevation), c=errors, s=48, cmap="RdYlGn_r", vmin=0, vmax=0.3,
         zorder=3,
     )  # fmt: skip
-    reference = _elevation(bank.T_cam_world[scene], bank.centre[scene])
     axis.plot(0, 90 - np.degrees(reference), "o", color="#0969da", markersize=6, zorder=4)
     return dots
 
 
-def _places(bank: ViewBank, scene: int) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuth from the reference camera's and elevation of every candidate, radians."""
-    from .imitation import view_angles
+def _places(bank: ViewBank, scene: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Azimuth from the reference camera's and elevation of every candidate, radians.
 
-    azimuth, elevation, _ = view_angles(bank.part(slice(scene, scene + 1)))
-    return azimuth[0], elevation[0]
-
-
-def _elevation(T_cam_world: np.ndarray, centre: np.ndarray) -> float:
-    x, y, z = -T_cam_world[:3, :3].T @ T_cam_world[:3, 3] - centre
-    return float(np.arctan2(z, np.hypot(x, y)))
+    Returns:
+        Both (N,), and the elevation of the reference camera.
+    """
+    centre = bank.centre[scene]
+    first = SpherePosition.of(bank.T_cam_world[scene], centre)
+    places = [SpherePosition.of(T, centre) for T in bank.second_T_cam_world[scene]]
+    azimuth = np.array([place.azimuth for place in places]) - first.azimuth
+    return azimuth, np.array([place.elevation for place in places]), first.elevation
 
 
 def _slot_of(bank: ViewBank, scene: int, outcome: Outcome) -> int | None:
