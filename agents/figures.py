@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..envs.carrier import directions_from
 from ..envs.view_bank import ViewBank
 from ..pose_estimator.study_figures import new_figure, save, tidy
 from .outcomes import ORACLE, STAY, SUCCESS, Outcome, short
@@ -76,13 +77,8 @@ def recall_by_angle(outcomes: Mapping[str, Sequence[Outcome]], bank: ViewBank | 
 
 def all_views(bank: ViewBank) -> tuple[np.ndarray, np.ndarray]:
     """For every scene and slot: the angle to the reference view in degrees, and whether right."""
-
-    def directions(T: np.ndarray, centre: np.ndarray) -> np.ndarray:
-        offset = -np.einsum("...ji,...j->...i", T[..., :3, :3], T[..., :3, 3]) - centre
-        return offset / np.linalg.norm(offset, axis=-1, keepdims=True)
-
-    reference = directions(bank.T_cam_world, bank.centre)[:, None]
-    second = directions(bank.second_T_cam_world, bank.centre[:, None])
+    reference = directions_from(bank.centre, bank.T_cam_world)[:, None]
+    second = directions_from(bank.centre[:, None], bank.second_T_cam_world)
     cosine = np.clip((reference * second).sum(axis=-1), -1, 1)
     return np.degrees(np.arccos(cosine)).ravel(), (bank.second_error < SUCCESS).ravel()
 

@@ -18,6 +18,7 @@ from gymnasium import spaces
 from torch import Tensor, nn
 
 from .checkpoint import AgentHeader, check_tensors
+from .hyperparameters import GreedyHyperparameters
 from .judge import Judge, judge_features, judge_inputs
 from .predictor import ErrorPredictor, view_features
 from .view_sphere import (
@@ -28,9 +29,6 @@ from .view_sphere import (
     view_actions,
     view_directions,
 )
-
-SURE = 0.95
-"""Probability of a right pose from which on an agent does not look again."""
 
 NEAR = np.deg2rad(25.0)
 """Views so close to one that has been taken are left out."""
@@ -48,24 +46,23 @@ class GreedyAgent(nn.Module):
 
     Args:
         observation_space: images with channels first.
-        hyperparameters: see `GreedyHyperparameters`, as plain data.
+        hyperparameters: its shape, and how many networks.
         spans: as in :class:`ErrorPredictor`; those of a file replace them.
     """
 
     def __init__(
         self,
         observation_space: spaces.Dict,
-        hyperparameters: Mapping[str, Any],
+        hyperparameters: GreedyHyperparameters,
         spans: Sequence[float] | None = None,
     ) -> None:
         super().__init__()
         objects = int(observation_space["object"].shape[0])  # type: ignore[index]
-        names = ("features_dim", "width", "dropout")
-        shape = {name: hyperparameters[name] for name in names if name in hyperparameters}
+        h = hyperparameters
         widths = [1.0] * objects if spans is None else spans
         self.networks = nn.ModuleList(
-            ErrorPredictor(observation_space, widths, **shape)
-            for _ in range(int(hyperparameters.get("networks", 1)))
+            ErrorPredictor(observation_space, widths, h.features_dim, h.width, h.dropout)
+            for _ in range(h.networks)
         )
         self.judge = Judge(judge_inputs(objects))
 
@@ -90,7 +87,7 @@ def load_agent(
         ValueError: if the weights do not fit the header.
     """
     with torch.random.fork_rng(devices=[]):  # their first random weights are not the caller's draws
-        agent = GreedyAgent(observation_space, header.hyperparameters)
+        agent = GreedyAgent(observation_space, GreedyHyperparameters(**header.hyperparameters))
     check_tensors(weights, agent.state_dict(), what)
     agent.load_state_dict(weights)
     return agent.eval()
@@ -114,7 +111,7 @@ class GreedyPolicy:
         self._agent = agent
         self._env = check_view_sphere(env)
         self._keys = tuple(header.observation_space)
-        self._sure = float(header.hyperparameters.get("sure", SURE))
+        self._sure = GreedyHyperparameters(**header.hyperparameters).sure
         self._first: dict[str, np.ndarray] | None = None
         self._costs = np.zeros(0)
 

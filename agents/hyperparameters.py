@@ -48,7 +48,7 @@ class GreedyHyperparameters:
         batch_size: scenes in a batch.
         learning_rate: falls to 0 along half a cosine.
         weight_decay: of AdamW.
-        features_dim, width, dropout: of each network, see :class:`ViewExtractor`.
+        features_dim, width, dropout: of each network, see :class:`~.predictor.ErrorPredictor`.
         networks: how many networks answer together.
         sure: probability of a right pose from which on the agent stops, where it may.
     """
@@ -157,20 +157,16 @@ def policy_kwargs(entry: Mapping[str, Any]) -> dict[str, Any]:
             f"(allowed: {', '.join(sorted(POLICY_KWARGS))})"
         )
     kwargs = dict(given)
-    if "activation_fn" in kwargs:
-        if kwargs["activation_fn"] not in ACTIVATIONS:
-            raise ValueError(
-                f"activation_fn must be one of {', '.join(ACTIVATIONS)}, "
-                f"got {kwargs['activation_fn']!r}"
-            )
-        kwargs["activation_fn"] = ACTIVATIONS[kwargs["activation_fn"]]
-    if "features_extractor_class" in kwargs:
-        if kwargs["features_extractor_class"] not in EXTRACTORS:
-            raise ValueError(
-                f"features_extractor_class must be one of {', '.join(EXTRACTORS)}, "
-                f"got {kwargs['features_extractor_class']!r}"
-            )
-        kwargs["features_extractor_class"] = EXTRACTORS[kwargs["features_extractor_class"]]
+    named: dict[str, Mapping[str, Any]] = {
+        "activation_fn": ACTIVATIONS,
+        "features_extractor_class": EXTRACTORS,
+    }
+    for name, choices in named.items():
+        if name not in kwargs:
+            continue
+        if kwargs[name] not in choices:
+            raise ValueError(f"{name} must be one of {', '.join(choices)}, got {kwargs[name]!r}")
+        kwargs[name] = choices[kwargs[name]]
     return kwargs
 
 

@@ -30,7 +30,7 @@ class Lessons:
 
     Attributes:
         observations: batch of all scenes, images uint8 (M, 3, S, S).
-        views: (M, N, 8).
+        views: (M, N, 11), see :func:`view_features`.
         errors: min(ADD(-S) / diameter, 1), (M, N); NaN where it is not known.
         visibility: visible fraction of the object, (M, N); NaN where it is not known.
     """
@@ -99,7 +99,7 @@ def train_agent_networks(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(rng.integers(2**31)))
         spans = crop_spans(bank.header.diameters)
-        agent = GreedyAgent(observation_space, vars(hyperparameters), spans)
+        agent = GreedyAgent(observation_space, hyperparameters, spans)
         total = hyperparameters.epochs * len(agent.networks)
         with tqdm(total=total, unit="epoch", disable=not progress) as bar:
             for network in agent.networks:

@@ -14,6 +14,7 @@ from gymnasium import spaces
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from ..envs.carrier import directions_from
 from ..envs.observation import SURROUNDINGS
 from ..pose_estimator.features import FeatureConfig
 from .extractor import vector_fields
@@ -150,13 +151,8 @@ def view_features(
         angle to the reference view, elevations; then the direction in the reference camera: right,
         down, forward.
     """
-
-    def directions(T: np.ndarray, middle: np.ndarray) -> np.ndarray:
-        offset = -np.einsum("...ji,...j->...i", T[..., :3, :3], T[..., :3, 3]) - middle
-        return offset / np.linalg.norm(offset, axis=-1, keepdims=True)
-
-    first = directions(T_cam_world, centre)[..., None, :]
-    second = directions(T_second_world, centre[..., None, :])
+    first = directions_from(centre, T_cam_world)[..., None, :]
+    second = directions_from(centre[..., None, :], T_second_world)
     seen = np.einsum("...ij,...nj->...ni", T_cam_world[..., :3, :3], second)
     azimuth = np.arctan2(second[..., 1], second[..., 0]) - np.arctan2(first[..., 1], first[..., 0])
     azimuth = -azimuth if mirrored else azimuth

@@ -210,7 +210,10 @@ def _report(model: BaseAlgorithm, config: TrainAgentConfig, steps: int, seconds:
 def _evaluation(config: TrainAgentConfig, policy: Path) -> str:
     """The command that evaluates the policy as it was trained."""
     command = "python -m two_view_pose evaluate-agent --policy random fixed max-baseline"
-    command += f" {shlex.quote(os.fspath(policy))} --scene {config.scene}"
+    command += f" {shlex.quote(os.fspath(policy))}"
+    if config.bank is not None:
+        return f"{command} --bank {shlex.quote(os.fspath(config.bank))}"
+    command += f" --scene {config.scene}"
     if config.objects:
         command += f" --objects {shlex.join(config.objects)}"
     if config.env_id not in (BOX_ENV, DISCRETE_ENV):

@@ -38,10 +38,10 @@ def split_bank(config: TrainAgentConfig) -> tuple[dict[str, Any], dict[str, Any]
     Raises:
         ValueError: if there is no such bank, or it has too few scenes.
     """
-    from ..envs.view_bank import read_bank
+    from ..envs.replay import shared_bank
 
     assert config.bank is not None
-    scenes = len(read_bank(config.bank))
+    scenes = len(shared_bank(str(config.bank)))
     if scenes <= config.validation:
         raise ValueError(
             f"{config.bank} has {scenes} scenes: too few to keep {config.validation} for "

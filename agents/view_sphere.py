@@ -83,7 +83,7 @@ def camera_poses(env: ViewSphere, actions: list[Any]) -> np.ndarray:
 
 def view_directions(env: ViewSphere, actions: list[Any]) -> np.ndarray:
     """From the object to the cameras of actions, (N, 3) metres, world."""
-    return np.stack([camera_centre(T) for T in camera_poses(env, actions)]) - env.sphere_centre
+    return camera_centre(camera_poses(env, actions)) - env.sphere_centre
 
 
 def travels(env: ViewSphere, actions: list[Any]) -> np.ndarray:

@@ -120,5 +120,11 @@ def angle_at(centre: np.ndarray, T_cam_world: np.ndarray, T_other_world: np.ndar
 
 
 def camera_centre(T_cam_world: np.ndarray) -> np.ndarray:
-    """Where the camera is in the world, (3,), metres."""
-    return invert(T_cam_world)[:3, 3]
+    """Where cameras (..., 4, 4) are in the world, (..., 3), metres."""
+    return invert(T_cam_world)[..., :3, 3]
+
+
+def directions_from(centre: np.ndarray, T_cam_world: np.ndarray) -> np.ndarray:
+    """Unit vectors (..., 3) from points (..., 3) of the world to cameras (..., 4, 4)."""
+    offset = camera_centre(T_cam_world) - centre
+    return offset / np.linalg.norm(offset, axis=-1, keepdims=True)

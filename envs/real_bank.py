@@ -84,6 +84,7 @@ class _RealRecorder:
         )
         self._measured = {ids[obj_id]: model for obj_id, model in measured.items()}
         self._fields = observation_space(len(self._names), IMAGE_SIZE)
+        self._scenes: dict[int, dict[int, BopImage]] = {}
         self._candidates = check_candidates(CANDIDATE_VIEWS)
 
     def header(self) -> BankHeader:
@@ -119,10 +120,10 @@ class _RealRecorder:
                 key = (pair.scene_id, pair.ref_image_id, obj_id)
                 if obj_id in known and (targets is None or key in targets):
                     found[key][pair.second_image_id] = pair.T_second_ref
-        scenes = {i: self._dataset.scene(i) for i in {key[0] for key in found}}
+        self._scenes = {i: self._dataset.scene(i) for i in {key[0] for key in found}}
         chosen = []
         for (scene_id, image_id, obj_id), seconds in sorted(found.items()):
-            image = scenes[scene_id][image_id]
+            image = self._scenes[scene_id][image_id]
             if image.annotation(obj_id) is not None and len(seconds) >= LEAST_PHOTOGRAPHS:
                 chosen.append((image, known[obj_id], seconds))
         return chosen
@@ -132,7 +133,7 @@ class _RealRecorder:
         model, measured = self._models[name], self._measured[name]
         truth = image.annotation(model.obj_id)
         assert truth is not None
-        others = self._dataset.scene(image.scene_id)
+        others = self._scenes[image.scene_id]
         T_ref_world = level_camera(image)
         reference = View(read_rgb(image), image.K, T_ref_world)
         first = self._estimator.estimate((reference,), name)

@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 if TYPE_CHECKING:
     from .bank_recorder import BankRecorder
-    from .view_bank import BankHeader
+    from .view_bank import BankHeader, ViewBank
 
 Scene = Literal["linemod", "clutter", "occlusion", "heap"]
 
@@ -103,10 +103,10 @@ def record_bank(config: RecordBankConfig) -> None:
     from .view_bank import read_bank
 
     if config.out.exists() or config.verify:
-        header = read_bank(config.out).header
+        bank = read_bank(config.out)
         if not config.verify:
-            _check_same(header, config)
-        describe(config.out)
+            _check_same(bank.header, config)
+        describe(config.out, bank)
         return
     if config.data is not None:
         from .real_bank import record_real_bank
@@ -114,7 +114,7 @@ def record_bank(config: RecordBankConfig) -> None:
         record_real_bank(config)
     else:
         _record_scenes(config)
-    describe(config.out)
+    describe(config.out, read_bank(config.out))
 
 
 def _record_scenes(config: RecordBankConfig) -> None:
@@ -189,11 +189,8 @@ def make_header(config: RecordBankConfig) -> BankHeader:
     )
 
 
-def describe(path: Path) -> None:
-    """Prints what a bank holds."""
-    from .view_bank import read_bank
-
-    bank = read_bank(path)
+def describe(path: Path, bank: ViewBank) -> None:
+    """Prints what the bank of a file holds."""
     header, right = bank.header, bank.second_error < 0.1
     print(
         f"{path}: {len(bank)} scenes ({header.source}, {header.scene}) of "

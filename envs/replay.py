@@ -84,7 +84,7 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         if not (np.isfinite(travel_weight) and travel_weight >= 0):
             raise ValueError(f"travel_weight must be a number of at least 0, got {travel_weight}")
         self.render_mode = render_mode
-        self.bank = bank if isinstance(bank, ViewBank) else _read(os.fspath(bank))
+        self.bank = bank if isinstance(bank, ViewBank) else shared_bank(os.fspath(bank))
         if not self.bank.answered:
             raise ValueError(
                 "bank holds no answers of an estimator (it was recorded with --no-answers): such a "
@@ -230,15 +230,12 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
             self.sphere_centre, distance, self.reference_position.azimuth + azimuth, elevation
         )
         offset = camera_centre(wanted) - self.sphere_centre
-        offsets = self._camera_centres() - self.sphere_centre
+        recorded = self.bank.second_T_cam_world[self.scene]
+        offsets = camera_centre(recorded) - self.sphere_centre
         distances = np.linalg.norm(offsets, axis=1)
         cosine = (offsets @ offset) / (distances * np.linalg.norm(offset))
         angle = np.arccos(np.clip(cosine, -1, 1))
         return int(np.argmin(angle + _METRE * np.abs(distances - distance)))
-
-    def _camera_centres(self) -> np.ndarray:
-        T = self.bank.second_T_cam_world[self.scene]
-        return -np.einsum("nji,nj->ni", T[:, :3, :3], T[:, :3, 3])
 
     def _info(self, slot: int | None) -> dict[str, Any]:
         bank, scene = self.bank, self.scene
@@ -268,7 +265,7 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
 
 
 @lru_cache(maxsize=4)
-def _read(path: str) -> ViewBank:
+def shared_bank(path: str) -> ViewBank:
     """Reads a bank once a process, for all environments over it."""
     return read_bank(path)
 
