@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,6 +84,9 @@ def train_agent_networks(
 ) -> GreedyAgent:
     """Trains the networks of one agent; the same arguments give the same weights.
 
+    One thread computes: several add up in another order, and networks as small as these gain
+    nothing by them.
+
     Args:
         bank: the scenes to learn from.
         observation_space: images with channels first.
@@ -96,7 +100,7 @@ def train_agent_networks(
         further = (Lessons.of(more, mirrored) for mirrored in (False, True))
         lessons = tuple(a.and_more(b) for a, b in zip(lessons, further, strict=True))
     rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
-    with torch.random.fork_rng(devices=[]):
+    with torch.random.fork_rng(devices=[]), _one_thread():
         torch.manual_seed(int(rng.integers(2**31)))
         spans = crop_spans(bank.header.diameters)
         agent = GreedyAgent(observation_space, hyperparameters, spans)
@@ -109,6 +113,17 @@ def train_agent_networks(
                     bar.update()
         train_judge(agent.judge, bank, rng)
     return agent.eval()
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Lets torch use one thread meanwhile."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _epochs(

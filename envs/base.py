@@ -6,7 +6,7 @@ The environments in ``two_view_pose.py`` differ from this only in what an action
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +18,8 @@ from gymnasium.error import ResetNeeded
 from ..assets import load_objects
 from ..assets.object_model import ObjectModel
 from ..pose_estimator.estimate import PoseEstimate
-from ..pose_estimator.geometry import (
-    LINEMOD_IMAGE_SIZE,
-    LINEMOD_K,
-    View,
-    check_rigid,
-    invert,
-)
+from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, View, check_rigid, invert
 from ..pose_estimator.metrics import add_or_add_s
-from .arrangement import target_visibility
 from .carrier import Carrier, FreeFlyingCarrier, PoseNoise
 from .episode import Episode
 from .figure import Panel, comparison
@@ -34,18 +27,21 @@ from .observation import Observation, SpherePosition, make_observation, observat
 from .options import ResetOptions
 from .protocol import PoseEstimator, check_known_objects, resolve_estimator
 from .randomization import Randomization
-from .renderer import SceneRenderer
-from .scene import Scene, SceneConfig
-from .sensor import apply_sensor
+from .scene import SceneConfig
+from .studio import (
+    LocalStudio,
+    SceneOrder,
+    Setup,
+    Studio,
+    StudioConfig,
+    episode_generators,
+)
 from .window import Window
 
 WORKSPACE_LOW, WORKSPACE_HIGH = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5, 0.4])
 """Where on the table the object can be at all (world, metres); bounds the view sphere's centre."""
 
 IMAGE_SIZES = (36, 256)
-
-MOST_VIEWS = 8
-"""Views that one episode may have, the reference view included."""
 
 
 class ViewSelectionEnv(gym.Env[Observation, Any]):
@@ -73,6 +69,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         resolution: tuple[int, int] = LINEMOD_IMAGE_SIZE,
         carrier: Carrier | None = None,
         render_mode: str | None = None,
+        studio: Callable[[StudioConfig], Studio] = LocalStudio,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode must be human, rgb_array or None, got {render_mode!r}")
@@ -86,15 +83,18 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         self._travel_weight = float(travel_weight)
         self._pose_noise = PoseNoise.of(pose_noise)
         self._carrier = FreeFlyingCarrier() if carrier is None else carrier
-        self._resolution, self._K = resolution, _scaled_intrinsics(resolution)
         self._objects = dict(objects) if isinstance(objects, Mapping) else load_objects(objects)
         self._names = tuple(self._objects)
         self._estimator = resolve_estimator(estimator)
         check_known_objects(self._estimator, self._names)
-        config = SceneConfig(kind=scene) if isinstance(scene, str) else scene
-        self._randomization = Randomization() if randomization is None else randomization
-        self._scene = Scene(self._objects, config, self._randomization)
-        self._renderer = SceneRenderer(self._scene, *resolution)
+        self._studio_config = StudioConfig(
+            self._objects,
+            SceneConfig(kind=scene) if isinstance(scene, str) else scene,
+            Randomization() if randomization is None else randomization,
+            resolution,
+        )
+        self._K = self._studio_config.intrinsics
+        self._studio = studio(self._studio_config)
         self._window = Window("Two-View Pose")
         self._episode: Episode | None = None
         self._fields = observation_space(len(self._names), image_size)
@@ -124,6 +124,11 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         return tuple(self._running().views)
 
     @property
+    def object_name(self) -> str:
+        """The target of this episode."""
+        return self._running().object_name
+
+    @property
     def estimate(self) -> PoseEstimate | None:
         """The newest estimate, in the reference camera; None without an estimator."""
         estimates = self._running().estimates
@@ -142,7 +147,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
     @property
     def T_cam_world(self) -> np.ndarray:
         """The reference camera, (4, 4)."""
-        return self._running().cameras[0].copy()
+        return self._running().T_reference_world.copy()
 
     @property
     def reference_position(self) -> SpherePosition:
@@ -179,31 +184,48 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         Raises:
             ValueError: if an option is unknown or not allowed.
         """
-        super().reset(seed=seed)
-        chosen = ResetOptions.parse(options, self._names, self._scene.config.camera)
-        drawn_seed = int(self.np_random.integers(2**31))
-        scene_seed = drawn_seed if chosen.scene_seed is None else chosen.scene_seed
-        # One stream for each purpose, so that what one of them draws never moves another.
-        scene_rng, noise_rng, *sensor_rngs = np.random.default_rng(scene_seed).spawn(2 + MOST_VIEWS)
-        drawn_name = self._names[int(scene_rng.integers(len(self._names)))]
-        name = drawn_name if chosen.object is None else chosen.object
-        state = self._scene.reset(scene_rng, name, chosen.reference_camera)
-        self._episode = Episode(
-            scene_seed=scene_seed,
-            object_name=name,
-            T_world_obj=state.T_world_obj[name],
-            visibility=float(state.visibility),
-            noise_rng=noise_rng,
-            sensor_rngs=sensor_rngs,
-        )
-        self._carrier.place(state.T_cam_world)
-        self._look(state.T_cam_world)
-        if self.render_mode == "human":
-            self.render()
-        return self._observation(), self._info()
+        order = self.draw_order(seed, options)
+        self.begin(order, self._studio.arrange(order))
+        self._look(self.T_cam_world)
+        return self.opening()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Takes the second view and estimates the pose from both; the episode ends.
+
+        Raises:
+            ValueError: if the action is NaN or out of the action space.
+            ResetNeeded: if the episode has ended.
+        """
+        self._look(self.move(action))
+        return self.outcome()
+
+    def draw_order(self, seed: int | None, options: dict[str, Any] | None) -> SceneOrder:
+        """The scene of the next episode; the first part of :meth:`reset`.
+
+        Raises:
+            ValueError: if an option is unknown or not allowed.
+        """
+        super().reset(seed=seed)
+        allowed = self._studio_config.scene.camera
+        chosen = ResetOptions.parse(options, self._names, allowed)
+        drawn_seed = int(self.np_random.integers(2**31))
+        scene_seed = drawn_seed if chosen.scene_seed is None else chosen.scene_seed
+        return SceneOrder(scene_seed, chosen.object, chosen.reference_camera)
+
+    def begin(self, order: SceneOrder, setup: Setup) -> None:
+        """Starts an episode in a scene that was set up; it has no view yet."""
+        self._episode = Episode(
+            scene_seed=order.seed,
+            object_name=setup.object_name,
+            T_world_obj=setup.T_world_obj,
+            visibility=setup.visibility,
+            noise_rng=episode_generators(order.seed)[1],
+            T_reference_world=setup.T_cam_world,
+        )
+        self._carrier.place(setup.T_cam_world)
+
+    def move(self, action: Any) -> np.ndarray:
+        """Moves the camera as an action says: T_cam_world (4, 4); the first part of :meth:`step`.
 
         Raises:
             ValueError: if the action is NaN or out of the action space.
@@ -214,8 +236,35 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
             raise ResetNeeded("the episode ended with its second view: call reset() first")
         motion = self._carrier.move(self.camera_pose(action))
         episode.travel += motion.travel
-        self._look(motion.T_cam_world)
-        episode.ended = True
+        return motion.T_cam_world
+
+    def see(self, T_cam_world: np.ndarray, picture: np.ndarray) -> None:
+        """Takes a picture (H, W, 3) from a camera (4, 4) into the episode."""
+        episode = self._running()
+        told = T_cam_world  # the noise is in the relative pose, so the first view has none
+        if episode.views:
+            told = self._pose_noise.perturb(T_cam_world, episode.noise_rng)
+        episode.cameras.append(T_cam_world)
+        episode.views.append(View(picture, self._K, told))
+
+    def learn(self, estimate: PoseEstimate) -> None:
+        """Takes what was estimated from all views so far into the episode."""
+        episode = self._running()
+        check_rigid(estimate.T_cam_obj, "the estimator's T_cam_obj")
+        model = self._objects[episode.object_name]
+        error = add_or_add_s(estimate.T_cam_obj, episode.T_cam_obj_true(0), model)
+        episode.estimates.append(estimate)
+        episode.errors.append(error)
+
+    def opening(self) -> tuple[Observation, dict[str, Any]]:
+        """What :meth:`reset` returns, once the reference view is there."""
+        if self.render_mode == "human":
+            self.render()
+        return self._observation(), self._info()
+
+    def outcome(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """What :meth:`step` returns, once the second view is there; the episode ends."""
+        self._running().ended = True
         if self.render_mode == "human":
             self.render()
         return self._observation(), self._reward(), True, False, self._info()
@@ -240,9 +289,8 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
 
     def visibility_from(self, T_cam_world: np.ndarray) -> float:
         """Visible fraction of the target from a camera (4, 4): ground truth, for recording."""
-        episode = self._running()
-        name, T_world_obj = episode.object_name, episode.T_world_obj
-        return float(target_visibility(self._scene, name, T_world_obj, T_cam_world))
+        self._running()
+        return self._studio.visibility_from(T_cam_world)
 
     def render(self) -> np.ndarray | None:
         """The picture of the episode, RGB uint8 (664, 1360, 3); None if it is shown in a window.
@@ -273,7 +321,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
 
     def close(self) -> None:
         """Frees the GL context and the window; may be called again."""
-        self._renderer.close()
+        self._studio.close()
         self._window.close()
 
     def _running(self) -> Episode:
@@ -284,21 +332,9 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
     def _look(self, T_cam_world: np.ndarray) -> None:
         """Takes a picture from ``T_cam_world`` and estimates the pose from all views so far."""
         episode = self._running()
-        index = len(episode.views)
-        picture = self._renderer.render(T_cam_world, self._K).rgb
-        picture = apply_sensor(picture, self._randomization.sensor, episode.sensor_rngs[index])
-        told = T_cam_world  # the noise is in the relative pose, so the first view has none
-        if index > 0:
-            told = self._pose_noise.perturb(T_cam_world, episode.noise_rng)
-        episode.cameras.append(T_cam_world)
-        episode.views.append(View(picture, self._K, told))
+        self.see(T_cam_world, self._studio.shoot(T_cam_world, len(episode.views)))
         if self._estimator is not None:
-            estimate = self._estimator.estimate(tuple(episode.views), episode.object_name)
-            check_rigid(estimate.T_cam_obj, "the estimator's T_cam_obj")
-            model = self._objects[episode.object_name]
-            error = add_or_add_s(estimate.T_cam_obj, episode.T_cam_obj_true(0), model)
-            episode.estimates.append(estimate)
-            episode.errors.append(error)
+            self.learn(self._estimator.estimate(tuple(episode.views), episode.object_name))
 
     def _reward(self) -> float:
         episode = self._running()
@@ -361,20 +397,3 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
             T_cam_obj_estimate=relative @ episode.estimates[index].T_cam_obj if estimated else None,
             add=episode.errors[index] if estimated else None,
         )
-
-
-def _scaled_intrinsics(resolution: tuple[int, int]) -> np.ndarray:
-    """LineMOD's camera matrix for pictures of another size (height, width).
-
-    Raises:
-        ValueError: if the size is not in LineMOD's proportion of 3 to 4.
-    """
-    height, width = resolution
-    scale = height / LINEMOD_IMAGE_SIZE[0]
-    if height < 1 or width != round(LINEMOD_IMAGE_SIZE[1] * scale):
-        raise ValueError(
-            f"resolution must be (height, width) in the proportion 3 to 4, got {resolution}"
-        )
-    A = np.diag([scale, scale, 1.0])
-    A[:2, 2] = (scale - 1) / 2
-    return A @ LINEMOD_K

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 
@@ -23,7 +22,7 @@ class Episode:
         T_world_obj: its true pose, (4, 4).
         visibility: visible fraction of the target in the reference view.
         noise_rng: draws the error of the camera poses that the estimator is told.
-        sensor_rngs: draw the sensor's noise, one generator a view.
+        T_reference_world: the reference camera, (4, 4).
         cameras: true T_cam_world of each view, (4, 4).
         views: what the estimator was given, the reference view first.
         estimates: the answer after each view; empty without an estimator.
@@ -37,7 +36,7 @@ class Episode:
     T_world_obj: np.ndarray
     visibility: float
     noise_rng: np.random.Generator
-    sensor_rngs: Sequence[np.random.Generator]
+    T_reference_world: np.ndarray
     cameras: list[np.ndarray] = field(default_factory=list)
     views: list[View] = field(default_factory=list)
     estimates: list[PoseEstimate] = field(default_factory=list)
@@ -50,7 +49,6 @@ class Episode:
         return replace(
             self,
             noise_rng=deepcopy(self.noise_rng),
-            sensor_rngs=deepcopy(self.sensor_rngs),
             cameras=list(self.cameras),
             views=list(self.views),
             estimates=list(self.estimates),

@@ -16,7 +16,9 @@ class PoseEstimator(Protocol):
     """Anything that answers where an object is, given one or two views of it.
 
     A caller's own estimator needs ``estimate`` only. If it also has ``object_names``, the
-    environment refuses objects that are not among them.
+    environment refuses objects that are not among them. If it has ``estimate_batch(requests)``,
+    which takes a list of (views, object name) and returns what ``estimate`` answers to each, vector
+    environments ask it once for many lanes; and from two threads if its ``thread_safe`` is true.
     """
 
     def estimate(self, views: Sequence[View], object_name: str) -> PoseEstimate:

@@ -9,8 +9,8 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 
 from .actions import candidate_view
-from .base import MOST_VIEWS
 from .observation import Observation
+from .studio import MOST_VIEWS
 from .two_view_pose import TwoViewPoseDiscreteEnv
 
 

@@ -115,10 +115,13 @@ class TwoViewPoseEnv(ViewSelectionEnv):
 
     ## Vector environments
 
-    `gym.make_vec("two_view_pose:TwoViewPose-v0", num_envs=4)` resets a sub-environment in the very
+    `gym.make_vec("two_view_pose:TwoViewPose-v0", num_envs=8)` is a `TwoViewPoseVectorEnv`: lane `i`
+    answers exactly as a single environment with its seed, but the estimator is asked once for many
+    lanes, while other processes arrange and render (`workers`; 0: none). A lane resets in the very
     step that ends its episode (`AutoresetMode.SAME_STEP`), as every step does here; the final
-    observation and info are `infos["final_obs"]` and `infos["final_info"]`. Gymnasium's own
-    vectorizers default to `NEXT_STEP`, which would waste every second step; ask them for the same:
+    observation and info are `infos["final_obs"]` and `infos["final_info"]`. Workers are spawned: a
+    script needs `if __name__ == "__main__":`. Gymnasium's own vectorizers default to `NEXT_STEP`,
+    which would waste every second step; ask them for the same:
     `make_vec(..., vectorization_mode="async", vector_kwargs={"autoreset_mode": "SameStep"})`.
 
     ## Arguments
@@ -142,7 +145,8 @@ class TwoViewPoseEnv(ViewSelectionEnv):
     | `randomization` | None         | a `Randomization` of lights, textures and sensor;      |
     |                 |              | None: its defaults                                     |
     | `image_size`    | 64           | side of the observation's crop, 36 to 256 pixels       |
-    | `resolution`    | (480, 640)   | height and width of the camera's pictures, 3 to 4      |
+    | `resolution`    | (480, 640)   | height and width of the camera's pictures; of other    |
+    |                 |              | proportions, they show the middle of LineMOD's         |
     | `carrier`       | None         | what moves the camera (`carrier.py`); None: it flies   |
     | `render_mode`   | None         | `"rgb_array"`, or `"human"`: a window (with pygame and |
     |                 |              | a display; otherwise a picture file that it names)     |

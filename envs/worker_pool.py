@@ -149,12 +149,16 @@ def _replace(worker: ProcessPoolExecutor, config: MakerConfig) -> ProcessPoolExe
 
 def _start_child(config: MakerConfig) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it and ends its workers
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    leave_with_parent()
     start_worker(config)
 
 
-def _leave_with_parent() -> None:
-    """Ends a worker whose parent was killed: its queue alone would keep it waiting for ever."""
+def leave_with_parent() -> None:
+    """In a worker: ends it when its parent is killed, for which a queue would wait for ever."""
+    threading.Thread(target=_wait_for_parent, daemon=True).start()
+
+
+def _wait_for_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
@@ -23,12 +23,14 @@ from .augmentation import (
 )
 from .crops import STORED_SCALE, STORED_SIDE, CropPack
 from .cut_and_paste import CropPaster, CutAndPasteConfig
+from .data_parallel import own_share, world_size
 from .detector import DetectorConfig, detection_targets
 from .features import FeatureConfig
 from .geometry import invert, project
 from .symmetry import canonical_pose
 
 _Sample = TypeVar("_Sample")
+_Batch = TypeVar("_Batch")
 
 _OUTLINE_POINTS = 400
 """Points of a surface that are enough for the outline of one of its sides."""
@@ -152,12 +154,15 @@ class TrainingSet:
                 result[index].append(np.array(group))
         return result
 
-    def target(self, target: int, rng: np.random.Generator) -> TargetSample:
-        """Makes one training sample of a target."""
+    def target(
+        self, target: int, rng: np.random.Generator, *, with_depth: bool = True
+    ) -> TargetSample:
+        """Makes one training sample of a target; decoding its depth takes half of the decoding."""
         pack, config = self.pack, self.features
         size = config.crop
         zoom = STORED_SCALE / config.roi_scale * size / STORED_SIDE
-        crop, mask, depth = pack.crop(target), pack.mask(target), pack.depth(target)
+        crop, mask = pack.crop(target), pack.mask(target)
+        depth = pack.depth(target) if with_depth else None
         if self.augmentation is None:
             around = np.diag([zoom, zoom, 1.0])
         else:
@@ -200,13 +205,22 @@ class TrainingSet:
             depth=depth,
         )
 
-    def draw_target(self, rng: np.random.Generator, index: int | None = None) -> TargetSample:
+    def draw_target(
+        self, rng: np.random.Generator, index: int | None = None, *, with_depth: bool = True
+    ) -> TargetSample:
         """A random target of an object; without ``index`` each object is equally likely."""
         index = rng.choice(self.known) if index is None else index
-        return self.target(int(rng.choice(self.by_object[index], p=self._weights[index])), rng)
+        target = int(rng.choice(self.by_object[index], p=self._weights[index]))
+        return self.target(target, rng, with_depth=with_depth)
 
-    def draw_pair(self, rng: np.random.Generator) -> tuple[TargetSample, TargetSample, np.ndarray]:
+    def draw_pair(
+        self, rng: np.random.Generator, *, with_depth: bool = True
+    ) -> tuple[TargetSample, TargetSample, np.ndarray]:
         """Two views of one object: samples and T_second_ref (4, 4); the reference view first.
+
+        Args:
+            rng: of the draws.
+            with_depth: whether the samples have depth maps, where the dataset has them.
 
         Raises:
             ValueError: if no scene shows an object in two pictures.
@@ -222,7 +236,8 @@ class TrainingSet:
         first, second = rng.choice(group, 2, replace=False)
         # From the object itself: it stands still, and real data need not know the world.
         T_second_ref = self.pack.T_cam_obj[second] @ invert(self.pack.T_cam_obj[first])
-        return self.target(int(first), rng), self.target(int(second), rng), T_second_ref
+        views = (self.target(int(n), rng, with_depth=with_depth) for n in (first, second))
+        return next(views), next(views), T_second_ref
 
     def draw_frame(
         self, rng: np.random.Generator, config: DetectorConfig
@@ -299,28 +314,65 @@ def batches(
     threads: int = 2,
     ahead: int = 3,
 ) -> Iterator[list[_Sample]]:
-    """Endless batches, prepared ahead by threads (OpenCV lets go of the interpreter lock).
+    """Endless batches of samples that are drawn each on its own; see :func:`prepared`.
 
     Args:
         draw: makes one sample.
-        size: samples a batch.
+        size: samples a batch, in each of the processes that train together.
+        seed: of everything drawn.
+        start: number of the first batch, to resume.
+        threads: how many threads.
+        ahead: how many batches to prepare ahead.
+    """
+    return prepared(
+        lambda rng: [draw(own) for own in own_generators(rng, size)], seed, start, threads, ahead
+    )
+
+
+def own_generators(rng: np.random.Generator, size: int) -> Sequence[np.random.Generator]:
+    """A generator for each of the ``size`` samples that are this process's of a batch.
+
+    W processes get what one with W * ``size`` samples gets, each its part.
+    """
+    return own_share(rng.spawn(size * world_size()))
+
+
+def generator_of(sample: TargetSample, seed: int) -> np.random.Generator:
+    """A generator for what else is random about a sample that was drawn.
+
+    It is the same wherever in a batch the sample stands, and another one for another draw of the
+    same target, whose camera K is jittered.
+    """
+    return np.random.default_rng([seed, *np.ascontiguousarray(sample.K).view(np.uint32).flat])
+
+
+def prepared(
+    make: Callable[[np.random.Generator], _Batch],
+    seed: int,
+    start: int,
+    threads: int = 2,
+    ahead: int = 3,
+) -> Iterator[_Batch]:
+    """Endless batches, prepared ahead by threads (OpenCV lets go of the interpreter lock).
+
+    Args:
+        make: makes one batch.
         seed: of everything drawn; batch n is the same whatever came before it.
         start: number of the first batch, to resume.
         threads: how many threads.
         ahead: how many batches to prepare ahead.
     """
 
-    def make(number: int) -> list[_Sample]:
-        rng = np.random.default_rng([seed, number])
-        return [draw(rng) for _ in range(size)]
+    def numbered(number: int) -> _Batch:
+        return make(np.random.default_rng([seed, number]))
 
     with ThreadPoolExecutor(threads) as pool:
-        queue: list[Future[list[_Sample]]] = []
+        queue: list[Future[_Batch]] = []
         number = start
         try:
             while True:
                 while len(queue) <= ahead:
-                    queue.append(pool.submit(make, number))
+                    queue.append(pool.submit(numbered, number))
                     number += 1
                 yield queue.pop(0).result()
         finally:

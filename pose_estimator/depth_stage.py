@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from .cascade import CascadeViews, DepthOutput, half_range
-from .dataset import TargetSample, batches, stack_targets
+from .dataset import TargetSample, batches, generator_of, stack_targets
 from .stages import StageBase
 
 _Pair = tuple[TargetSample, TargetSample, np.ndarray]
@@ -77,9 +77,13 @@ class CascadeStage(StageBase):
         return batches(self.train.draw_pair, self.batch, self.seed, start)
 
     def forward(
-        self, batch: list[_Pair], rng: np.random.Generator
+        self, batch: list[_Pair], rng: np.random.Generator | None = None
     ) -> tuple[list[DepthOutput], list[Truth]]:
         """Runs a batch of pairs; the guess of the centre's depth is the truth with noise.
+
+        Args:
+            batch: the pairs.
+            rng: of the noise; None = each pair has its own, wherever in a batch it stands.
 
         Returns:
             What each stage says, and what it should say.
@@ -91,7 +95,9 @@ class CascadeStage(StageBase):
         index = tensors["object"][::2]
         diameter = self.diameters[index]
         T_second_ref = torch.from_numpy(np.stack([T for _, _, T in batch])).float()
-        noise = np.clip(rng.normal(0, _GUESS_NOISE, count), -_WORST_GUESS, _WORST_GUESS)
+        rngs = [generator_of(first, self.seed) if rng is None else rng for first, _, _ in batch]
+        noise = np.array([own.normal(0, _GUESS_NOISE) for own in rngs])
+        noise = noise.clip(-_WORST_GUESS, _WORST_GUESS)
         guess = tensors["T_cam_obj"][::2, 2, 3] + torch.from_numpy(noise).float() * half_range(
             networks.cascade.config.levels[0], diameter
         )
@@ -115,8 +121,7 @@ class CascadeStage(StageBase):
 
     def loss(self, batch: list[_Pair]) -> tuple[Tensor, dict[str, Tensor]]:
         self.networks.cascade.train()
-        seed = np.round(batch[0][2][:3, 3] * 1e6).astype(int) % 2**31
-        outputs, truths = self.forward(batch, np.random.default_rng([self.seed, *seed]))
+        outputs, truths = self.forward(batch)
         total = torch.zeros(())
         numbers: dict[str, Tensor] = {}
         names = ("coarse", "middle", "fine")

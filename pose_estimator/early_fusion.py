@@ -20,6 +20,7 @@ from .cascade import CascadeViews, DepthOutput
 from .estimate import PoseEstimate
 from .frontend import EncodedView
 from .geometry import grid_matrix, invert, transform
+from .inference import Run
 from .two_view import TwoViewEstimator
 
 _LEAST_MASK = 0.5
@@ -89,12 +90,13 @@ class EarlyFusionEstimator(TwoViewEstimator):
                 np.stack([e.view.T_cam_world @ T_ref_world for e in encoded])
             ).float()[None],
         )
-        with (
-            torch.inference_mode(),
-            torch.autocast("cpu", torch.bfloat16, enabled=self.frontend._bfloat16),
-        ):
-            outputs = self.networks.cascade(views, torch.tensor([guess]), torch.tensor([diameter]))
-        return outputs[-1]
+        centre, size = torch.tensor([guess]), torch.tensor([diameter])
+
+        def look_for_depth() -> DepthOutput:
+            with self.inference.autocast():
+                return self.networks.cascade(views, centre, size)[-1]
+
+        return self.ask(Run(look_for_depth))
 
     def _to_grid(self) -> np.ndarray:
         return grid_matrix(self.networks.features.config.stride)

@@ -42,6 +42,10 @@ class SameConv(nn.Conv2d):
             x = F.pad(x, self.same_padding)
         return super().forward(x)
 
+    def relu6(self, x: Tensor) -> Tensor:
+        """The convolution, its result clipped to 0..6."""
+        return F.relu6(self(x))
+
 
 class InvertedResidual(nn.Module):
     """MobileNetV2's block: expand, filter depthwise, project."""
@@ -55,8 +59,8 @@ class InvertedResidual(nn.Module):
         self.residual = stride == 1 and inputs == outputs
 
     def forward(self, x: Tensor) -> Tensor:
-        y = F.relu6(self.expand(x)) if self.expand is not None else x
-        y = self.project(F.relu6(self.depthwise(y)))
+        y = self.expand.relu6(x) if self.expand is not None else x
+        y = self.project(self.depthwise.relu6(y))
         return x + y if self.residual else y
 
 
@@ -101,7 +105,7 @@ class Encoder(nn.Module):
 
     def pyramid(self, pictures: Tensor) -> list[Tensor]:
         """As :meth:`forward`, with the map at stride 2 before the others (PYRAMID_CHANNELS)."""
-        x = F.relu6(self.stem((pictures - 127.0) / 128.0))
+        x = self.stem.relu6((pictures - 127.0) / 128.0)
         outputs = []
         for index, stage in enumerate(self.stages):
             x = stage(x)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,13 +14,14 @@ from torch import Tensor
 from .crops import warp_crop
 from .detector import decode, decode_peaks, detector_input
 from .estimate import Roi
-from .features import Features2D
 from .geometry import View, crop_matrix, grid_matrix, turn_matrix
+from .inference import Ask, Detect, Encode, EncodedCrops, Inference
 from .joint_detection import choose_together, sizes_together
-from .networks import PoseNetworks, has_fast_bfloat16
-from .voting import vote_keypoints
+from .networks import PoseNetworks
+from .recently_used import RecentlyUsed
 
-_CACHED_VIEWS = 4
+CACHED_VIEWS = 4
+"""Views of one estimate at a time that are remembered."""
 
 _TURNS = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5)
 """Turns in radians of the crops that are tried where the upright one is not sure."""
@@ -95,18 +97,25 @@ class DetectorMaps(NamedTuple):
     to_image: np.ndarray
 
 
-@dataclass(eq=False)
 class Frontend:
     """Runs the 2D networks; remembers the views used last, so that a reference is encoded once.
 
-    Attributes:
+    Args:
         networks: in evaluation mode.
+        ask: what the networks are asked with; None asks them at once.
     """
 
-    networks: PoseNetworks
-    _cache: list[tuple[View, int, EncodedView]] = field(default_factory=list)
-    _maps: list[tuple[View, DetectorMaps]] = field(default_factory=list)
-    _bfloat16: bool = field(default_factory=has_fast_bfloat16)
+    def __init__(self, networks: PoseNetworks, ask: Ask | None = None) -> None:
+        self.networks = networks
+        self.encoded: RecentlyUsed[EncodedView] = RecentlyUsed(CACHED_VIEWS)
+        self.detected: RecentlyUsed[DetectorMaps] = RecentlyUsed(CACHED_VIEWS)
+        self._ask = Inference(networks).ask if ask is None else ask
+
+    def asking(self, ask: Ask) -> Frontend:
+        """This one, which remembers the same views but asks in another way."""
+        other = copy(self)
+        other._ask = ask
+        return other
 
     def encode(self, view: View, index: int, roi: Roi | None = None) -> EncodedView:
         """Finds an object in a view and votes for its keypoints.
@@ -119,11 +128,9 @@ class Frontend:
             index: which object, in the networks' order.
             roi: a region of interest from elsewhere, instead of the detector's.
         """
-        if roi is None:
-            for entry in self._cache:
-                if entry[0] is view and entry[1] == index:
-                    self._cache = [*(e for e in self._cache if e is not entry), entry]
-                    return entry[2]
+        known = self.encoded.get(view, index) if roi is None else None
+        if known is not None:
+            return known
         region = roi or self.detect(view, index)
         [encoded] = self.encode_turned(view, index, region, (0.0,))
         if encoded.vote_score.mean() < _SURE:
@@ -132,7 +139,7 @@ class Frontend:
             if surest.vote_score.mean() > encoded.vote_score.mean() + _SURER:
                 encoded = surest
         if roi is None:
-            self._cache = [*self._cache[1 - _CACHED_VIEWS :], (view, index, encoded)]
+            self.encoded.put(view, index, encoded)
         return encoded
 
     def detect(self, view: View, index: int) -> Roi:
@@ -168,23 +175,16 @@ class Frontend:
             for number, old, new in zip(chosen, found, sized, strict=True)
         ]
 
-    @torch.inference_mode()
     def detector_maps(self, view: View) -> DetectorMaps:
         """What the detector says of all objects in a full frame; the last few are remembered."""
-        for entry in self._maps:
-            if entry[0] is view:
-                self._maps = [*(e for e in self._maps if e is not entry), entry]
-                return entry[1]
-        detector = self.networks.detector
-        small, to_image = detector_input(view.image, detector.config)
-        frames = torch.from_numpy(small).permute(2, 0, 1)[None].float()
-        with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
-            logits, regression = detector(frames.contiguous(memory_format=torch.channels_last))
-        found = DetectorMaps(logits[0].float().numpy(), regression[0].float().numpy(), to_image)
-        self._maps = [*self._maps[1 - _CACHED_VIEWS :], (view, found)]
+        found = self.detected.get(view)
+        if found is None:
+            small, to_image = detector_input(view.image, self.networks.detector.config)
+            logits, regression = self._ask(Detect(small))
+            found = DetectorMaps(logits, regression, to_image)
+            self.detected.put(view, None, found)
         return found
 
-    @torch.inference_mode()
     def encode_turned(
         self, view: View, index: int, roi: Roi, turns: Sequence[float]
     ) -> list[EncodedView]:
@@ -199,13 +199,8 @@ class Frontend:
         config = self.networks.features.config
         upright = crop_matrix(roi.centre, roi.side, config.crop)
         to_crops = [turn_matrix(turn, config.crop) @ upright for turn in turns]
-        stack = np.stack([warp_crop(view.image, A, config.crop) for A in to_crops])
-        crops = torch.from_numpy(stack).permute(0, 3, 1, 2).float()
-        with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
-            network = self.networks.features
-            maps = network.encoder.pyramid(crops.contiguous(memory_format=torch.channels_last))
-            features = network.decode(maps, torch.full((len(turns),), index))
-        means, covariances, scores = (part.double().numpy() for part in vote(features))
+        crops = np.stack([warp_crop(view.image, A, config.crop) for A in to_crops])
+        found: EncodedCrops = self._ask(Encode(crops, index))
         encoded = []
         for n, (to_crop, turn) in enumerate(zip(to_crops, turns, strict=True)):
             to_grid = grid_matrix(config.stride) @ to_crop
@@ -215,34 +210,17 @@ class Frontend:
                     roi=roi,
                     K_grid=to_grid @ view.K,
                     to_image=np.linalg.inv(to_grid),
-                    volume=features.volume[n].float(),
-                    vote_mean=means[n],
-                    vote_covariance=covariances[n],
-                    vote_score=scores[n],
-                    mask=torch.sigmoid(features.mask_logits[n].float()).numpy(),
-                    decoder=features.decoder[n],
-                    maps=tuple(m[n] for m in maps),
+                    volume=found.features.volume[n].float(),
+                    vote_mean=found.mean[n],
+                    vote_covariance=found.covariance[n],
+                    vote_score=found.score[n],
+                    mask=torch.sigmoid(found.features.mask_logits[n].float()).numpy(),
+                    decoder=found.features.decoder[n],
+                    maps=tuple(level[n] for level in found.pyramid),
                     turn=turn,
                 )
             )
         return encoded
-
-
-def vote(features: Features2D) -> tuple[Tensor, Tensor, Tensor]:
-    """Votes for the keypoints of B crops.
-
-    A pixel's say is its probability to be on the object times how sure its vector is: vectors are
-    trained to unit length, and shrink where the network hesitates between directions.
-
-    Returns:
-        mean (B, 9, 2), covariance (B, 9, 2, 2) in pixels of the feature grid, and score (B, 9).
-    """
-    directions = features.directions.detach().float()
-    sure = torch.linalg.vector_norm(directions, dim=2).clamp(max=1.0)
-    inside = torch.sigmoid(features.mask_logits.detach().float())
-    inside = torch.where(inside > 0.3, inside, torch.zeros_like(inside))
-    votes = vote_keypoints(directions, inside[:, None] * sure**2)
-    return votes.mean, votes.covariance, votes.score
 
 
 def merge_votes(

@@ -44,20 +44,16 @@ def choose_together(
         The number of the candidate in each view.
     """
     first, *others = candidates
-    best_sum, best = -np.inf, [0] * len(candidates)
-    for number, roi in enumerate(first):
-        total, chosen = float(np.log(max(roi.score, 1e-6))), [number]
-        for regions, view in zip(others, views[1:], strict=True):
-            agreement = [
-                np.log(max(other.score, 1e-6))
-                - 0.5 * misfit(roi, other, views[0], view, diameter, scale)
-                for other in regions
-            ]
-            chosen.append(int(np.argmax(agreement)))
-            total += float(max(agreement))
-        if total > best_sum:
-            best_sum, best = total, chosen
-    return best
+    total = np.log(np.maximum([roi.score for roi in first], 1e-6))
+    partners = []
+    for regions, view in zip(others, views[1:], strict=True):
+        misfits, _ = _misfits(first, regions, views[0], view, diameter, scale)
+        scores = np.log(np.maximum([roi.score for roi in regions], 1e-6))
+        agreement = scores - 0.5 * misfits.min(axis=-1)
+        partners.append(agreement.argmax(axis=1))
+        total = total + agreement.max(axis=1)
+    best = int(np.argmax(total))
+    return [best, *(int(chosen[best]) for chosen in partners)]
 
 
 def misfit(
@@ -76,7 +72,7 @@ def misfit(
     Returns:
         0 for regions of one object; 16 at most.
     """
-    return float(_misfits(first, second, view, other, diameter, scale)[0].min())
+    return float(_misfits([first], [second], view, other, diameter, scale)[0].min())
 
 
 def sizes_together(
@@ -99,40 +95,59 @@ def sizes_together(
     """
     first, *others = regions
     pairs = [
-        _misfits(first, other, views[0], view, diameter, scale)
+        _misfits([first], [other], views[0], view, diameter, scale)
         for other, view in zip(others, views[1:], strict=True)
     ]
     best = int(np.sum([misfits for misfits, _ in pairs], axis=0).argmin()) if pairs else 0
     sized, agreed = [], False
     for other, view, (misfits, depths) in zip(others, views[1:], pairs, strict=True):
-        agrees = misfits[best] < _LARGEST_MISFIT
+        agrees = misfits[0, 0, best] < _LARGEST_MISFIT
         agreed |= bool(agrees)
-        side = scale * diameter * float(view.K[0, 0]) / depths[best]
+        side = scale * diameter * float(view.K[0, 0]) / depths[0, best]
         sized.append(replace(other, side=side) if agrees else other)
     return [replace(first, side=first.side / _DEPTHS[best]) if agreed else first, *sized]
 
 
 def _misfits(
-    first: Roi, second: Roi, view: View, other: View, diameter: float, scale: float
+    firsts: Sequence[Roi],
+    seconds: Sequence[Roi],
+    view: View,
+    other: View,
+    diameter: float,
+    scale: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How badly each depth along the first region's ray explains both; see :func:`misfit`.
+    """How badly each depth along the first regions' rays explains two; see :func:`misfit`.
+
+    Args:
+        firsts: A regions of ``view``.
+        seconds: B regions of ``other``.
+        view: picture and camera.
+        other: picture and camera.
+        diameter: of the object, metres.
+        scale: side of a region in diameters.
 
     Returns:
-        The misfit (D,) of each of ``_DEPTHS``, and the depth (D,) in the other camera, metres.
+        The misfit (A, B, D) of each of ``_DEPTHS``, and the depth (A, D) in the other camera,
+        metres.
     """
-    depths = depth_of_roi(first, view.K, diameter, scale) * _DEPTHS
-    points = depths[:, None] * (np.linalg.inv(view.K) @ (*first.centre, 1.0))
+    expected = np.array([depth_of_roi(roi, view.K, diameter, scale) for roi in firsts])
+    rays = np.array([(*roi.centre, 1.0) for roi in firsts]) @ np.linalg.inv(view.K).T
+    points = (expected[:, None] * _DEPTHS)[..., None] * rays[:, None]
     seen = transform(other.T_cam_world @ invert(view.T_cam_world), points)
-    before = seen[:, 2] > 0.05
-    misfits = np.full(len(depths), _LARGEST_MISFIT)
-    pixels = project(seen[before], other.K)
-    expected = depth_of_roi(second, other.K, diameter, scale)
+    before = seen[..., 2] > 0.05
+    # What lies behind the camera is put before it, and not counted in the end.
+    safe = np.where(before[..., None], seen, (0.0, 0.0, 1.0))
+    pixels = project(safe, other.K)
+    centres = np.array([roi.centre for roi in seconds])
+    sides = np.array([roi.side for roi in seconds])
+    depths = np.array([depth_of_roi(roi, other.K, diameter, scale) for roi in seconds])
     # Both centres are uncertain; the first's is carried over at the second's size.
-    off = (pixels - second.centre) / (np.sqrt(2) * _CENTRE_DEVIATION * second.side)
+    off = pixels[:, None] - centres[:, None]
+    off /= (np.sqrt(2) * _CENTRE_DEVIATION * sides)[:, None, None]
     deviations = (
-        (off**2).sum(1)
-        + (np.log(_DEPTHS[before]) / _SIZE_DEVIATION) ** 2
-        + (np.log(seen[before, 2] / expected) / _SIZE_DEVIATION) ** 2
+        (off**2).sum(-1)
+        + (np.log(_DEPTHS) / _SIZE_DEVIATION) ** 2
+        + (np.log(safe[:, None, :, 2] / depths[:, None]) / _SIZE_DEVIATION) ** 2
     )
-    misfits[before] = np.minimum(deviations, _LARGEST_MISFIT)
-    return misfits, seen[:, 2]
+    misfits = np.where(before[:, None], np.minimum(deviations, _LARGEST_MISFIT), _LARGEST_MISFIT)
+    return misfits, seen[..., 2]

@@ -16,9 +16,10 @@ from .agreement import agree, believable, explain, joint_pose
 from .estimate import PoseEstimate
 from .frontend import EncodedView
 from .geometry import invert, transform
+from .inference import Fuse
 from .multi_view_pnp import SpacePoints
 from .two_view import TwoViewEstimator
-from .volume import ViewMaps
+from .volume import LevelOutput, ViewMaps
 
 _LEAST_DEVIATION = 0.02
 """Standard deviation in diameters that the volume's keypoints are believed at best."""
@@ -44,12 +45,7 @@ class MidFusionEstimator(TwoViewEstimator):
                 None
             ],
         )
-        with (
-            torch.inference_mode(),
-            torch.autocast("cpu", torch.bfloat16, enabled=self.frontend._bfloat16),
-        ):
-            diameter = torch.tensor([model.diameter], dtype=torch.float32)
-            fine = self.networks.volume(maps, torch.from_numpy(guess).float()[None], diameter)[-1]
+        fine: LevelOutput = self.ask(Fuse(maps, guess, model.diameter))
         keypoints = fine.keypoints[0].double().numpy()
         covariance = fine.covariance[0].double().numpy()
         solved = self.answer(encoded, object_name, keypoints, covariance, weigh=False)

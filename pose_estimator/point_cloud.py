@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -48,7 +49,7 @@ def sample_points(
     K: Tensor,
     diameter: Tensor,
     count: int,
-    generator: torch.Generator,
+    generator: torch.Generator | Sequence[torch.Generator],
 ) -> PointCloud:
     """Draws points of an object from its crop's depth.
 
@@ -58,7 +59,7 @@ def sample_points(
         K: (B, 3, 3) camera of the crop; any affine of a camera's.
         diameter: (B,) of the object, metres.
         count: how many points; where there are fewer pixels, the rest is not valid.
-        generator: of the draws.
+        generator: of the draws, one or one for each crop.
 
     Returns:
         The points. A crop without any has none that are valid, and finite numbers.
@@ -68,7 +69,10 @@ def sample_points(
         :, 0
     ]
     usable = (depth > 0) & (inside > _ON_OBJECT)
-    keys = torch.rand((batch, side * side), generator=generator)
+    if isinstance(generator, torch.Generator):
+        keys = torch.rand((batch, side * side), generator=generator)
+    else:
+        keys = torch.stack([torch.rand(side * side, generator=own) for own in generator])
     keys, index = torch.where(usable.flatten(1), keys, -1.0).topk(count, sorted=False)
     valid = keys >= 0
     z = torch.where(valid, depth.flatten(1).gather(1, index), 1.0)

@@ -10,15 +10,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .dataset import TargetSample, batches, stack_targets
+from .data_parallel import quotient
+from .dataset import TargetSample, batches, generator_of, stack_targets
 from .depth_augmentation import DepthAugmentationConfig, augment_depth
-from .frontend import vote
 from .geometry import grid_matrix
 from .losses import keypoint_loss, pose_loss
 from .point_cloud import LEAST_POINTS, sample_points
 from .point_voting import PointMaps, PointVotes, point_features
 from .solvers import RigidMotions, solve
-from .stages import StageBase, correct_poses
+from .stages import StageBase, correct_poses, vote_apart
 
 _HELD_OUT_BATCHES = 10
 """Batches of 32 crops that a validation takes."""
@@ -57,8 +57,15 @@ class PointStage(StageBase):
             )
         return batches(lambda rng: noisy(self.train, rng), self.batch, self.seed, start)
 
-    def forward(self, batch: list[TargetSample], rng: np.random.Generator) -> dict[str, Any]:
-        """Runs a batch; ``rng`` chooses the points. Crops with too few points are left out."""
+    def forward(
+        self, batch: list[TargetSample], rng: np.random.Generator | None = None
+    ) -> dict[str, Any]:
+        """Runs a batch. Crops with too few points are not ``enough``.
+
+        Args:
+            batch: the crops.
+            rng: chooses the points; None = each crop has its own, wherever in a batch it stands.
+        """
         networks = self.networks
         networks.features.eval()
         tensors = stack_targets(batch)
@@ -67,18 +74,20 @@ class PointStage(StageBase):
         diameter = self.diameters[index]
         with torch.no_grad(), self.autocast():
             out = networks.features(tensors["crop"], index)
-        mean, covariance, _ = vote(out)
+        mean, covariance = vote_apart(out, 1)
         to_grid = torch.from_numpy(grid_matrix(networks.features.config.stride)).float()
         mask = torch.sigmoid(out.mask_logits.float())
         features = point_features(out.decoder, mask)
         maps = PointMaps(features, mean, covariance, to_grid @ tensors["K"])
+        rngs = [generator_of(s, self.seed) if rng is None else rng for s in batch]
+        generators = [torch.Generator().manual_seed(int(own.integers(2**31))) for own in rngs]
         cloud = sample_points(
             depth,
             mask,
             tensors["K"],
             diameter,
             networks.points.config.points,
-            torch.Generator().manual_seed(int(rng.integers(2**31))),
+            generators,
         )
         enough = cloud.valid.sum(1) >= LEAST_POINTS
         votes = networks.points(maps, cloud, index, diameter)
@@ -112,12 +121,13 @@ class PointStage(StageBase):
 
     def loss(self, batch: list[TargetSample]) -> tuple[Tensor, dict[str, Tensor]]:
         self.networks.points.train()
-        seed = np.round(batch[0].T_cam_obj[:3, 3] * 1e6).astype(int) % 2**31
-        out = self.forward(batch, np.random.default_rng([self.seed, *seed]))
+        out = self.forward(batch)
         keep, votes, solution = out["enough"], out["votes"], out["solution"]
+        # Of all crops that are kept, in whatever process, each counts the same.
+        share = quotient(keep.sum(), keep.sum())
         if not keep.any():
-            nothing = sum(p.sum() * 0 for p in self.module.parameters())
-            return torch.as_tensor(nothing), {}
+            nothing = 0 * (votes.candidates.sum() + votes.log_error.sum())
+            return nothing, dict.fromkeys(("offset", "sure", "distance", "pose"), nothing)
         diameter, T_true, truth = (out[name][keep] for name in ("diameter", "T_true", "truth"))
         offset, sure = vote_losses(
             PointVotes(*(part[keep] for part in votes)),
@@ -129,8 +139,9 @@ class PointStage(StageBase):
         pose = pose_loss(
             solution.rotation[keep], solution.translation[keep], T_true, diameter, alpha=0.3
         )
+        total = 2.0 * offset + 0.2 * sure + 4.0 * distance + pose
         numbers = {"offset": offset, "sure": sure, "distance": distance, "pose": pose}
-        return 2.0 * offset + 0.2 * sure + 4.0 * distance + pose, numbers
+        return share * total, {name: share * part for name, part in numbers.items()}
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:

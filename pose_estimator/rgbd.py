@@ -12,8 +12,9 @@ import torch
 from .estimate import PoseEstimate, Roi
 from .frontend import EncodedView
 from .geometry import View, grid_matrix
+from .inference import Run
 from .point_cloud import LEAST_POINTS, sample_points
-from .point_voting import PointMaps, point_features
+from .point_voting import PointMaps, PointVotes, point_features
 from .single_view import check_rois, first_view
 from .two_view import TwoViewEstimator
 
@@ -72,7 +73,9 @@ class RgbdEstimator(TwoViewEstimator):
                 K_grid=torch.from_numpy(reference.K_grid).float()[None],
             )
             index = torch.tensor([self.index(object_name)])
-            votes = self.networks.points(maps, cloud, index, diameter)
+        votes: PointVotes = self.ask(
+            Run(lambda: self.networks.points(maps, cloud, index, diameter))
+        )
         keypoints = votes.keypoints[0].double().numpy()
         covariance = votes.covariance[0].double().numpy()
         return self.answer(encoded, object_name, keypoints, covariance, weigh=False)

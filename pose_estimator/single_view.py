@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
+from functools import partial
 
 import numpy as np
 
 from ..assets.object_model import ObjectModel
 from .estimate import PoseEstimate, Roi, depth_of_roi
-from .frontend import EncodedView, Frontend
+from .frontend import CACHED_VIEWS, EncodedView, Frontend
 from .geometry import View, make_transform, transform
+from .inference import Ask, Inference
+from .lockstep import in_lockstep
 from .networks import PoseNetworks
 from .pnp import PnpResult, keypoints_covariance, uncertainty_pnp
 from .solvers import check_solver
@@ -31,10 +35,15 @@ class SingleViewEstimator:
         ValueError: if the solver is unknown.
     """
 
+    thread_safe = True
+    """Several threads may ask at the same time."""
+
     def __init__(self, networks: PoseNetworks, solver: str = "soft"):
         self.networks = networks.eval()
         self.solver = check_solver(solver)
-        self.frontend = Frontend(networks)
+        self.inference = Inference(networks)
+        self.ask: Ask = self.inference.ask
+        self.frontend = Frontend(networks, self.ask)
 
     @property
     def object_names(self) -> tuple[str, ...]:
@@ -63,6 +72,31 @@ class SingleViewEstimator:
         roi = None if rois is None else check_rois(rois, views)[0]
         encoded = self.frontend.encode(reference, self.index(object_name), roi=roi)
         return self.from_one_view(encoded, object_name)
+
+    def estimate_batch(self, requests: Sequence[tuple[Sequence[View], str]]) -> list[PoseEstimate]:
+        """Estimates several poses side by side, with the networks' work done together.
+
+        Args:
+            requests: views and object name of each, as for :meth:`estimate`.
+
+        Returns:
+            What :meth:`estimate` answers to each of them.
+
+        Raises:
+            ValueError: as :meth:`estimate`.
+        """
+        for cache in (self.frontend.encoded, self.frontend.detected):
+            cache.most = max(cache.most, CACHED_VIEWS * len(requests))
+        tasks: list[Callable[[Ask], PoseEstimate]] = [
+            partial(self._estimate_asking, views, name) for views, name in requests
+        ]
+        return in_lockstep(tasks, self.inference.answer)
+
+    def _estimate_asking(self, views: Sequence[View], object_name: str, ask: Ask) -> PoseEstimate:
+        """:meth:`estimate`, whose questions to the networks are put by ``ask``."""
+        other = copy(self)
+        other.ask, other.frontend = ask, self.frontend.asking(ask)
+        return other.estimate(views, object_name)
 
     def index(self, object_name: str) -> int:
         """Number of an object in the networks' order.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,18 @@ import torch
 from torch import Tensor
 
 from ..assets.object_model import ObjectModel
-from .dataset import TargetSample, TrainingSet, batches, stack_targets
+from .dataset import (
+    TargetSample,
+    TrainingSet,
+    batches,
+    own_generators,
+    prepared,
+    stack_targets,
+)
 from .detector import decode
-from .frontend import vote
+from .features import Features2D
 from .geometry import make_transform
+from .inference import vote
 from .losses import box_loss, direction_loss, heat_map_loss, mask_loss
 from .metrics import add_or_add_s
 from .networks import PoseNetworks, has_fast_bfloat16
@@ -30,7 +39,7 @@ class StageBase:
         train: where its batches come from.
         held_out: where it is validated.
         steps: batches in all.
-        batch: samples in each.
+        batch: samples in each, in each of the processes that train together.
         learning_rate: its maximum.
         seed: of the batches.
     """
@@ -51,6 +60,19 @@ class StageBase:
     def autocast(self) -> torch.autocast:
         """bfloat16 where the CPU is fast at it."""
         return torch.autocast("cpu", torch.bfloat16, enabled=self.bfloat16)
+
+
+def vote_apart(features: Features2D, size: int) -> tuple[Tensor, Tensor]:
+    """Votes for ``size`` crops at a time, so that the batch around them does not change them.
+
+    That costs no more than all at once.
+
+    Returns:
+        mean (B, 9, 2) and covariance (B, 9, 2, 2) in pixels of the feature grid.
+    """
+    parts = zip(*(part.split(size) for part in features), strict=True)
+    mean, covariance, _ = zip(*(vote(Features2D(*part)) for part in parts), strict=True)
+    return torch.cat(mean), torch.cat(covariance)
 
 
 def correct_poses(
@@ -191,7 +213,8 @@ class FeatureStage(CropStage):
         self.networks.features.share_decoders()
 
     def batches(self, start: int) -> Iterator[list[TargetSample]]:
-        return batches(self.train.draw_target, self.batch, self.seed, start)
+        draw = partial(self.train.draw_target, with_depth=False)
+        return batches(draw, self.batch, self.seed, start)
 
 
 class DecoderStage(CropStage):
@@ -217,8 +240,11 @@ class DecoderStage(CropStage):
     def batches(self, start: int) -> Iterator[list[TargetSample]]:
         """Batches of one object each: a batch norm must not see others."""
 
-        def draw(rng: np.random.Generator) -> list[TargetSample]:
+        def make(rng: np.random.Generator) -> list[TargetSample]:
             index = int(rng.choice(self.train.known))
-            return [self.train.draw_target(rng, index) for _ in range(self.batch)]
+            return [
+                self.train.draw_target(own, index, with_depth=False)
+                for own in own_generators(rng, self.batch)
+            ]
 
-        return (batch for (batch,) in batches(draw, 1, self.seed, start))
+        return prepared(make, self.seed, start)

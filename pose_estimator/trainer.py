@@ -16,6 +16,8 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from .data_parallel import average_gradients, rank, share_start
+from .global_batch_norm import synchronise_batch_norms
 from .optimizer import HybridOptimizer
 from .results import write_atomically
 
@@ -90,13 +92,19 @@ def learning_rate(step: int, steps: int, maximum: float, warm_up: int) -> float:
 def run_stage(stage: Stage, config: LoopConfig, log: Callable[[str, int, dict], None]) -> None:
     """Trains a stage to its last step, from where its last checkpoint left off.
 
+    Processes that train together (see ``data_parallel.py``) end with the same weights; the first
+    alone validates, logs and writes checkpoints, which all of them resume from.
+
     Raises:
         FloatingPointError: if the loss is no longer finite.
     """
+    synchronise_batch_norms(stage.module)
+    first = rank() == 0
     optimizer = HybridOptimizer(stage.module, stage.learning_rate, config.weight_decay)
     checkpoint = config.out / f"{stage.name}.safetensors"
     mean = _MeanWeights()
     step = _resume(stage, optimizer, mean, checkpoint) if config.resume else 0
+    share_start(stage.module, step)
     if step >= stage.steps:
         return
     cycle = math.ceil(stage.steps / config.cycles)
@@ -105,16 +113,19 @@ def run_stage(stage: Stage, config: LoopConfig, log: Callable[[str, int, dict], 
     means: dict[str, float] = {}
     source = stage.batches(step)
     with tqdm(
-        total=stage.steps, initial=step, desc=stage.name, unit="step", mininterval=5.0
-    ) as bar:
+        total=stage.steps, initial=step, desc=stage.name, unit="step", mininterval=5.0,
+        disable=not first,
+    ) as bar:  # fmt: skip
         while step < stage.steps:
             loss, parts = stage.loss(next(source))
             optimizer.zero_grad()
             loss.backward()
+            loss, parts = loss.detach(), {name: part.detach() for name, part in parts.items()}
+            average_gradients(optimizer.parameters, loss, *parts.values())
             norm = nn.utils.clip_grad_norm_(optimizer.parameters, 5.0)
             if not torch.isfinite(norm):
                 raise FloatingPointError(
-                    f"{stage.name}: the loss is {float(loss.detach())} at step {step}; "
+                    f"{stage.name}: the loss is {float(loss)} at step {step}; "
                     "resume with a lower --learning-rate"
                 )
             begun = step - step % cycle
@@ -127,20 +138,20 @@ def run_stage(stage: Stage, config: LoopConfig, log: Callable[[str, int, dict], 
             if cycle_ends and step == stage.steps:
                 stage.module.load_state_dict(mean.weights)
             for name, part in parts.items():
-                value = float(part.detach())
+                value = float(part)
                 means[name] = 0.98 * means.get(name, value) + 0.02 * value
             bar.update(1)
             if step % 20 == 0:
                 bar.set_postfix({name: f"{value:.4f}" for name, value in means.items()})
-            if step % 100 == 0:
+            if first and step % 100 == 0:
                 log(stage.name, step, {f"train/{name}": value for name, value in means.items()})
-            if step % config.validate_every == 0 or step == stage.steps:
+            if first and (step % config.validate_every == 0 or step == stage.steps):
                 numbers = stage.validate()
                 log(stage.name, step, {f"held_out/{name}": v for name, v in numbers.items()})
                 text = "  ".join(f"{name} {value:.4f}" for name, value in numbers.items())
                 tqdm.write(f"{stage.name} step {step}: {text}")
             due = time.monotonic() - saved > config.checkpoint_every
-            if due or cycle_ends or step == stage.steps:
+            if first and (due or cycle_ends or step == stage.steps):
                 _save(stage, optimizer, mean, checkpoint, step)
                 saved = time.monotonic()
     getattr(source, "close", lambda: None)()

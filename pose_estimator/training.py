@@ -29,25 +29,37 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
     Raises:
         ValueError: if the configuration or the data is wrong, or there is no dataset.
     """
+    from .data_parallel import process_group
+
+    config = replace(config, data=find_dataset(config.data), stages=config.chosen_stages)
+    with process_group():
+        return _train(config)
+
+
+def _train(config: TrainEstimatorConfig) -> Path:
+    """Trains, in each of the processes that train together; the first writes the files."""
     import torch
 
+    from .data_parallel import first_alone, own_threads, rank
     from .trainer import keep_freed_memory
     from .weights import save_weights
 
-    config = replace(config, data=find_dataset(config.data), stages=config.chosen_stages)
-    if config.threads:
-        torch.set_num_threads(config.threads)
+    threads = config.threads or own_threads()
+    if threads:
+        torch.set_num_threads(threads)
     keep_freed_memory()
     torch.manual_seed(config.seed)
     networks = start_networks(config)
     count = len(networks.objects)
     plan = [f"{n} ({config.stage(n, count).steps} steps)" for n in STAGES if n in config.stages]
     print(f"training {', '.join(networks.objects)}: {', '.join(plan)}")
-    train, held_out = open_data(config, networks)
+    train, held_out = first_alone(lambda: open_data(config, networks))
     config.out.mkdir(parents=True, exist_ok=True)
     log = TrainingLog(config.out / "log.jsonl", resume=config.resume)
     done = [name for name in STAGES if train_stage(config, name, networks, train, held_out, log)]
     path = config.out / "weights.safetensors"
+    if rank() > 0:
+        return path
     content = header(config, networks, done, log.held_out)
     save_weights(networks, path, content, surfaces=config.store_meshes)
     if config.json is not None:
@@ -275,6 +287,7 @@ def header(
         done: the parts that are of this training.
         held_out: figures on held-out data.
     """
+    from .data_parallel import world_size
     from .weights import find_weights, read_header
 
     stages = {name: config.stage(name, len(networks.objects)) for name in done}
@@ -283,7 +296,7 @@ def header(
         "trained_on": _describe_data(config.data),
         "training": {
             "steps": {name: settings.steps for name, settings in stages.items()},
-            "batch": {name: settings.batch for name, settings in stages.items()},
+            "batch": {name: world_size() * settings.batch for name, settings in stages.items()},
             "seed": config.seed,
             "cut_and_paste": config.cut_and_paste,
             "augmentation": config.augmentation,

@@ -60,6 +60,11 @@ class TrainEstimatorConfig:
     are added to finished weights. Each stage writes checkpoints into --out; the same command
     continues where a killed run stopped. On two cores the default takes about three hours; with
     --init linemod, which keeps the 2D features, half an hour for one object.
+
+    On several processes: `torchrun --nproc-per-node=W -m two_view_pose train-estimator ...` takes
+    batches W times as large, and trains what one process with such batches would; --out is one
+    folder for all. So that as many samples are seen, divide the steps by W. A run may be resumed
+    with another number of processes.
     """
 
     data: Path
@@ -132,7 +137,8 @@ class TrainEstimatorConfig:
     seed: int = 0
     """Of everything random."""
     threads: int = 0
-    """Threads for the networks; 0 = as many as there are cores."""
+    """Threads for the networks; 0 = as many as there are cores, which processes of `torchrun` on
+    one machine share evenly."""
     checkpoint_every: float = 120.0
     """Seconds between checkpoints."""
     resume: bool = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,11 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from .dataset import TargetSample, batches, stack_targets
-from .frontend import vote
+from .dataset import TargetSample, batches, generator_of, stack_targets
 from .geometry import grid_matrix, make_transform
 from .losses import distribution_loss, keypoint_loss, pose_loss
 from .solvers import RigidMotions, solve
-from .stages import StageBase, correct_poses
+from .stages import StageBase, correct_poses, vote_apart
 from .symmetry import keypoint_permutations
 from .volume import LevelOutput, ViewMaps
 
@@ -62,19 +62,20 @@ class VolumeStage(StageBase):
         self.permutations = [keypoint_permutations(m.keypoints, m.symmetries) for m in models]
 
     def batches(self, start: int) -> Iterator[list[_Pair]]:
-        return batches(self.train.draw_pair, self.batch, self.seed, start)
+        draw = partial(self.train.draw_pair, with_depth=False)
+        return batches(draw, self.batch, self.seed, start)
 
     def forward(
         self,
         batch: list[_Pair],
-        rng: np.random.Generator,
+        rng: np.random.Generator | None = None,
         pose_noise: tuple[float, float] = (0.0, 0.0),
     ) -> dict[str, Any]:
         """Runs a batch of pairs; the guess of the centre is the truth with noise.
 
         Args:
             batch: the pairs.
-            rng: of the noise.
+            rng: of the noise; None = each pair has its own, wherever in a batch it stands.
             pose_noise: of the relative pose that the volume is told, and nothing else.
         """
         networks = self.networks
@@ -83,7 +84,7 @@ class VolumeStage(StageBase):
         tensors = stack_targets([s for first, second, _ in batch for s in (first, second)])
         with self.autocast():
             out = networks.features(tensors["crop"], tensors["object"])
-        mean, covariance, _ = vote(out)
+        mean, covariance = vote_apart(out, 2)
         mean, covariance = mean.reshape(count, 2, 9, 2), covariance.reshape(count, 2, 9, 2, 2)
         index = tensors["object"][::2]
         T_true = tensors["T_cam_obj"][::2]
@@ -94,12 +95,12 @@ class VolumeStage(StageBase):
         truth = self.keypoints[index] @ T_true[:, :3, :3].transpose(1, 2) + T_true[:, None, :3, 3]
         self._agree(mean, covariance, projection, truth, index)
         diameter = self.diameters[index]
-        noise = torch.from_numpy(rng.normal(0, 0.1, (count, 3))).float()
+        rngs = [generator_of(first, self.seed) if rng is None else rng for first, _, _ in batch]
+        noise = torch.from_numpy(np.stack([own.normal(0, 0.1, 3) for own in rngs])).float()
         guess = truth[:, -1] + noise * diameter[:, None]
         if any(pose_noise):
-            projection = _projections(
-                K, np.stack([perturb(T, *pose_noise, rng) for T in T_second_ref])
-            )
+            told = [perturb(T, *pose_noise, r) for T, r in zip(T_second_ref, rngs, strict=True)]
+            projection = _projections(K, np.stack(told))
         side = out.volume.shape[-1]
         maps = ViewMaps(
             features=out.volume.reshape(count, 2, -1, side, side),
@@ -140,10 +141,7 @@ class VolumeStage(StageBase):
 
     def loss(self, batch: list[_Pair]) -> tuple[Tensor, dict[str, Tensor]]:
         self.networks.volume.train()
-        rng = np.random.default_rng(
-            [self.seed, *np.round(batch[0][2][:3, 3] * 1e6).astype(int) % 2**31]
-        )
-        out = self.forward(batch, rng, self.pose_noise)
+        out = self.forward(batch, pose_noise=self.pose_noise)
         total = torch.zeros(())
         numbers: dict[str, Tensor] = {}
         for level, name in zip(out["levels"], ("coarse", "fine"), strict=True):

@@ -22,8 +22,8 @@ from two_view_pose.pose_estimator.dataset import (
 )
 from two_view_pose.pose_estimator.detector import DetectorConfig, decode
 from two_view_pose.pose_estimator.features import FeatureConfig, Features2D
-from two_view_pose.pose_estimator.frontend import grid_matrix, vote
-from two_view_pose.pose_estimator.geometry import project, transform
+from two_view_pose.pose_estimator.geometry import grid_matrix, project, transform
+from two_view_pose.pose_estimator.inference import vote
 from two_view_pose.pose_estimator.symmetry import canonical_pose
 
 CONFIG = FeatureConfig()

@@ -117,7 +117,7 @@ def test_the_loss_by_hand():
 def test_only_the_cascade_is_trained_and_a_step_lowers_the_loss(stage: CascadeStage):
     batch = [stage.train.draw_pair(np.random.default_rng(k)) for k in range(2)]
     before = {n: t.clone() for n, t in stage.module.state_dict().items()}
-    optimizer = torch.optim.SGD(stage.module.parameters(), 0.01)
+    optimizer = torch.optim.SGD(stage.module.parameters(), 0.001)
     losses = []
     try:
         for _ in range(2):

@@ -1,0 +1,205 @@
+"""Lanes of a vector environment against single environments, and what goes wrong in them."""
+
+import os
+import signal
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from estimators import ConstantEstimator, TableEstimator
+from two_view_pose.envs.two_view_pose import TwoViewPoseDiscreteEnv, TwoViewPoseEnv
+from two_view_pose.envs.vector import TwoViewPoseVectorEnv
+
+LANES = 3
+
+
+class Batched(TableEstimator):
+    """Takes several at once, and remembers how many."""
+
+    thread_safe = True
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.batches: list[tuple[int, ...]] = []
+
+    def estimate_batch(self, requests):
+        self.batches.append(tuple(len(views) for views, _ in requests))
+        return [TableEstimator().estimate(views, name) for views, name in requests]
+
+
+@pytest.fixture
+def make_vector(objects):
+    made = []
+
+    def build(kind=TwoViewPoseEnv, lanes=LANES, **kwargs) -> TwoViewPoseVectorEnv:
+        small = {"objects": objects, "estimator": None, "resolution": (120, 160)}
+        made.append(TwoViewPoseVectorEnv(kind, lanes, **{**small, **kwargs}))
+        return made[-1]
+
+    yield build
+    for env in made:
+        env.close()
+
+
+def check_equal(one, other):
+    assert type(one) is type(other) or np.ndim(one) == 0
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key in one:
+            check_equal(one[key], other[key])
+    else:
+        np.testing.assert_array_equal(one, other)
+
+
+def lane_of(infos, lane):
+    """One lane's info, as the single environment gives it."""
+    return {
+        key: lane_of(value, lane) if isinstance(value, dict) else value[lane]
+        for key, value in infos.items()
+        if not key.startswith("_")
+    }
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_every_lane_is_a_single_environment(make_vector, make, workers):
+    estimator = Batched()
+    options = {"scene": "clutter", "pose_noise": (0.5, 0.003), "image_size": 40}
+    vector = make_vector(workers=workers, estimator=estimator, **options)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (2, LANES, 3)).astype(np.float32)
+    first, first_info = vector.reset(seed=7)
+    steps = [vector.step(a) for a in actions]
+    for lane in range(LANES):
+        single = make(estimator=TableEstimator(), **options)
+        observation, info = single.reset(seed=7 + lane)
+        check_equal({key: value[lane] for key, value in first.items()}, observation)
+        check_equal(lane_of(first_info, lane), info)
+        for now, (after, rewards, terminated, truncated, infos) in zip(actions, steps, strict=True):
+            final, reward, *_, info = single.step(now[lane])
+            assert rewards[lane] == reward and terminated[lane] and not truncated[lane]
+            check_equal(infos["final_obs"][lane], final)
+            check_equal(lane_of(infos["final_info"], lane), info)
+            observation, info = single.reset()
+            check_equal({key: value[lane] for key, value in after.items()}, observation)
+            rest = {k: v for k, v in infos.items() if not k.startswith("final")}
+            check_equal(lane_of(rest, lane), info)
+    # Lanes are estimated together, in two parts, first with one view and then with two.
+    assert sorted(estimator.batches[:2]) == [(1,), (1, 1)]
+    assert sorted(estimator.batches[2:4]) == [(2,), (2, 2)]
+    assert sum(map(len, estimator.batches)) == LANES * (1 + 2 * 2)
+
+
+def test_an_estimator_that_takes_one_at_a_time_will_do(make_vector):
+    estimator = ConstantEstimator()
+    vector = make_vector(TwoViewPoseDiscreteEnv, estimator=estimator, workers=0)
+    vector.reset(seed=0)
+    vector.step(np.array([3, 0, 23]))
+    assert [len(views) for views, _ in estimator.calls] == [1] * 3 + [2] * 3 + [1] * 3
+
+
+def test_frames_are_shared_and_not_copied(make_vector):
+    vector = make_vector(workers=1, estimator=TableEstimator())
+    vector.reset(seed=0)
+    shown = [views[0].image for views in vector.get_attr("views")]
+    assert all(np.shares_memory(image, vector._workers.pictures) for image in shown)
+    before = [image.copy() for image in shown]
+    vector.step(np.zeros((LANES, 3), np.float32))
+    # The pictures of an episode stay while the next one begins.
+    for image, copy in zip(shown, before, strict=True):
+        np.testing.assert_array_equal(image, copy)
+
+
+def test_a_wrong_action_moves_no_lane(make_vector):
+    vector = make_vector(workers=1)
+    vector.reset(seed=0)
+    actions = np.zeros((LANES, 3), np.float32)
+    wrong = actions.copy()
+    wrong[2, 1] = np.nan
+    with pytest.raises(ValueError, match="action"):
+        vector.step(wrong)
+    assert vector.step(actions)[2].all()
+
+
+def test_it_goes_on_after_an_estimator_failed(make_vector, objects):
+    class Fails(TableEstimator):
+        broken = False
+
+        def estimate(self, views, object_name):
+            if self.broken:
+                raise RuntimeError("out of ideas")
+            return super().estimate(views, object_name)
+
+    estimator = Fails()
+    vector = make_vector(workers=2, estimator=estimator)
+    expected, _ = vector.reset(seed=3)
+    estimator.broken = True
+    with pytest.raises(RuntimeError, match="out of ideas"):
+        vector.step(np.zeros((LANES, 3), np.float32))
+    estimator.broken = False
+    again, _ = vector.reset(seed=3)
+    check_equal(again, expected)
+
+
+def test_a_worker_that_dies_is_named(make_vector):
+    vector = make_vector(workers=1)
+    vector.reset(seed=0)
+    os.kill(vector._workers._processes[0].pid, signal.SIGKILL)
+    with pytest.raises(ChildProcessError, match=r"code -9.*fewer workers"):
+        for _ in range(3):
+            vector.step(np.zeros((LANES, 3), np.float32))
+
+
+def test_what_is_wrong_in_a_worker_is_raised_here(make_vector):
+    vector = make_vector(workers=1)
+    with pytest.raises(ValueError, match="unknown reset option"):
+        vector.reset(options={"weather": "rain"})
+    studio = vector._studios[0]
+    with pytest.raises(ValueError, match="rigid"):
+        studio.shoot(np.zeros((4, 4)), 0)
+
+
+@pytest.mark.parametrize(
+    "arguments, text",
+    [({"lanes": 0}, "num_envs"), ({"workers": -1}, "workers"), ({"image_size": 3}, "image_size")],
+)
+def test_arguments_are_checked(make_vector, arguments, text):
+    with pytest.raises(ValueError, match=text):
+        make_vector(**arguments)
+
+
+def test_one_seed_for_each_lane(make_vector):
+    vector = make_vector(workers=0)
+    with pytest.raises(ValueError, match="3 lanes"):
+        vector.reset(seed=[1, 2])
+
+
+def test_what_the_lanes_are_can_be_asked(make_vector):
+    vector = make_vector(workers=0, render_mode="rgb_array", travel_weight=0.5)
+    vector.reset(seed=0)
+    assert vector.get_attr("travel_weight") == (0.5,) * LANES
+    assert vector.call("visibility_from", vector.envs[0].T_cam_world)[0] >= 0
+    assert [frame.shape for frame in vector.render()] == [(664, 1360, 3)] * LANES
+
+
+def test_square_pictures_show_the_middle(make):
+    env = make(resolution=(84, 84), image_size=84, render_mode="rgb_array")
+    observation, _ = env.reset(seed=0)
+    assert observation["image"].shape == (84, 84, 3)
+    assert env.intrinsics[0, 0] == pytest.approx(572.4114 * 84 / 480)
+    env.step(np.zeros(3, np.float32))
+    assert env.render().ndim == 3
+
+
+def test_gymnasium_makes_it_by_name(objects):
+    env = gym.make_vec(
+        "TwoViewPoseDiscrete-v0",
+        num_envs=2,
+        objects=objects,
+        estimator=None,
+        resolution=(120, 160),
+        workers=1,
+    )
+    assert isinstance(env.unwrapped, TwoViewPoseVectorEnv)
+    env.reset(seed=0)
+    assert env.step(np.array([1, 2]))[2].all()
+    env.close()
