@@ -1,23 +1,36 @@
 """The verb ``bench``: how quick things are (and how robust), as ratios to what others would use.
 
-Machines differ and drift, so both sides of a ratio run in turn in one process, and medians count.
+Machines differ and drift, so both sides of a ratio take turns in one run, and medians count. Each
+group of comparisons has a process of its own, so that no library disturbs another's.
 """
 
 from __future__ import annotations
 
-import copy
 import os
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .scene import Scene
+    from ..pose_estimator.stopwatch import Missing, Record
+
+GROUPS = {
+    "rendering": "RGB, depth and masks, against mujoco.Renderer",
+    "pyrender": "the same, and all annotations, against pyrender",
+    "pixels": "steps and episodes of pixels, against Gymnasium's renderer and dm_control",
+    "vector": "eight lanes, against as many single environments in sequence",
+    "estimator": "Mid-Fusion and a step, against PVNet and ResNet-18",
+    "network": "the 3D network's operations, against a large matrix product",
+    "solver": "Soft RANSAC, against the RANSACs of OpenCV and Open3D",
+    "metrics": "ADD-S, against the BOP toolkit's way",
+    "import": "importing the package, against importing Gymnasium",
+    "generate": "pictures a second of the generator",
+    "cost": "cost against size, which --figure draws",
+}
+"""What --only chooses from, in the order in which they run."""
+
+_WIDTH = 150
+"""Of the table in characters, where it is not printed in a terminal."""
 
 
 @dataclass(frozen=True)
@@ -26,190 +39,135 @@ class BenchConfig:
 
     repeats: int = 15
     """Timed repeats of each side; the median counts."""
+    only: tuple[str, ...] = ()
+    """Groups to run: rendering, pyrender, pixels, vector, estimator, network, solver, metrics,
+    import, generate, cost. None named: all of them."""
     weights: str | None = "linemod"
-    """Weights for the environment's step; None leaves that line out."""
+    """Weights of the estimator; None leaves out what needs them."""
     scenes: int = 26
     """Scenes of four pictures that the generator makes on two workers; 0 leaves that out."""
+    soak: int = 0
+    """Measure nothing but memory, over so many steps of the environment."""
     seed: int = 0
-    """Of the scene."""
+    """Of scenes, poses and actions."""
     json: Path | None = None
     """Write the ratios as a results file."""
+    markdown: Path | None = None
+    """Write the table as Markdown."""
+    figure: Path | None = None
+    """Draw cost against size into this PNG."""
     pictures: Path | None = None
     """Also write both renderers' pictures, side by side, to this PNG."""
 
+    def __post_init__(self) -> None:
+        for group in self.only:
+            if group not in GROUPS:
+                raise ValueError(f"only must name some of {', '.join(GROUPS)}, got {group!r}")
+        if self.repeats < 1:
+            raise ValueError(f"repeats must be at least 1, got {self.repeats}")
+        if self.figure is not None and "cost" not in self.groups:
+            raise ValueError("figure is drawn from the group cost, which is not among those to run")
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """The groups to run."""
+        if self.soak:
+            return ()
+        without = set() if self.scenes else {"generate"}
+        if self.weights is None:
+            without |= {"vector", "estimator", "cost"}
+        if not (self.only or self.json or self.figure):
+            without.add("cost")  # it is in no table
+        return tuple(g for g in GROUPS if g in (self.only or GROUPS) and g not in without)
+
 
 def bench(config: BenchConfig) -> None:
-    """Runs all comparisons and prints them."""
+    """Runs the comparisons and prints them."""
     # MuJoCo's own renderer decides on its back-end when it is imported, and prefers a window.
     os.environ.setdefault("MUJOCO_GL", "egl")
     from rich.console import Console
-    from rich.table import Table
 
-    from ..pose_estimator import bench_solver
     from ..pose_estimator.results import write_results
-    from .bench_generator import measure_generator
-    from .bench_pyrender import INSTALL_HINT, PyrenderUnavailable, compare_with_pyrender
+    from ..pose_estimator.stopwatch import Missing, in_own_process
+    from .bench_table import markdown, table
 
-    records = [compare_renderers(config)]
-    missing = None
-    try:
-        records.append(compare_with_pyrender(config.repeats, config.seed))
-    except PyrenderUnavailable as error:
-        missing = f"not compared with pyrender ({error}). To install it: {INSTALL_HINT}"
-    records.append(bench_solver.compare_speed(config.repeats, config.seed))
-    records.append(bench_solver.compare_robustness(config.seed))
-    if config.weights is not None:
-        records.append(compare_step(config))
-    if config.scenes:
-        records += measure_generator(config.scenes, config.seed)
-    table = Table(title="side by side in one run, medians")
-    for column in ("work", "against", "ours", "theirs", "ratio", "goal"):
-        table.add_column(column)
-    for record in records:
-        table.add_row(*cells(record))
-    Console().print(table)
-    if missing is not None:
-        Console().print(missing, markup=False, highlight=False)
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=_WIDTH)
+    lines: list[Record | Missing] = []
+    for group in config.groups:
+        with console.status(f"{group}: {GROUPS[group]}"):
+            lines += in_own_process(run_group, group, config)
+    if config.soak:
+        from .bench_memory import measure_memory
+
+        lines += measure_memory(config.soak, config.seed)
+    records = [line for line in lines if isinstance(line, dict)]
+    console.print(table(records))
+    if config.markdown is not None:
+        config.markdown.write_text(markdown(records))
+    for line in lines:
+        if isinstance(line, Missing):
+            console.print(str(line), markup=False, highlight=False)
+    if config.figure is not None:
+        from .bench_cost import draw_costs
+
+        draw_costs(config.figure, records)
     if config.json is not None:
         write_results(config.json, records, command="bench", seed=config.seed)
 
 
-def cells(record: dict[str, Any]) -> tuple[str, ...]:
-    """A record as a row of the table."""
-    if record["metric"] != "ratio":
-        value, goal = f"{record['value']:.1f}/s", f">= {record['goal']:g}/s"
-        return record["work"], "", value, "", "", goal
-    ours, theirs = amount(record), amount(record, "_against")
-    ratio, goal = f"{record['value']:.2f}x", f">= {record['goal']:g}x"
-    return record["work"], record["against"], ours, theirs, ratio, goal
+def run_group(group: str, config: BenchConfig) -> list[Record | Missing]:
+    """One of ``GROUPS``; imports only what it needs."""
+    repeats, seed = config.repeats, config.seed
+    if group == "rendering":
+        from .bench_rendering import compare_renderers
+
+        return [*compare_renderers(repeats, seed, config.pictures)]
+    if group == "pyrender":
+        from .bench_pyrender import compare_with_pyrender
+
+        return compare_with_pyrender(repeats, seed)
+    if group == "pixels":
+        from .bench_pixels import compare_pixels
+
+        return compare_pixels(repeats, seed)
+    if group == "import":
+        from .bench_import import compare_imports
+
+        return [*compare_imports(repeats)]
+    if group == "generate":
+        from .bench_generator import measure_generator
+
+        return [*measure_generator(config.scenes, seed)]
+    if group in ("network", "solver", "metrics"):
+        return run_estimator_group(group, repeats, seed)
+    assert config.weights is not None
+    if group == "vector":
+        from .bench_vector import compare_vector
+
+        return [*compare_vector(config.weights, repeats, seed)]
+    if group == "estimator":
+        from .bench_estimator import compare_estimates
+
+        return [*compare_estimates(config.weights, repeats, seed)]
+    from .bench_cost import measure_costs
+
+    return [*measure_costs(config.weights, repeats, seed)]
 
 
-def amount(record: dict[str, Any], side: str = "") -> str:
-    """What one side of a comparison came to, for people."""
-    if f"share{side}" in record:
-        return f"{100 * record[f'share{side}']:.1f} %"
-    return f"{1000 * record[f'seconds{side}']:.3g} ms"
+def run_estimator_group(group: str, repeats: int, seed: int) -> list[Record | Missing]:
+    """One of the groups that need nothing of the environment."""
+    if group == "network":
+        from ..pose_estimator.bench_network import compare_networks
 
+        return [*compare_networks(repeats)]
+    if group == "solver":
+        from ..pose_estimator.bench_solver import compare_robustness, compare_speed
 
-def compare_renderers(config: BenchConfig) -> dict[str, Any]:
-    """An RGB frame of ours against a default ``mujoco.Renderer``'s: same scene, size and camera."""
+        return [*compare_speed(repeats, seed), compare_robustness(seed)]
     from .. import assets
-    from .renderer import SceneRenderer
-    from .scene import Scene
+    from ..pose_estimator.bench_metrics import compare_add_s
 
-    scene = Scene(assets.load_objects(None))
-    state = scene.reset(np.random.default_rng(config.seed), scene.object_names[0])
-    ours = SceneRenderer(scene)
-    theirs = default_renderer(scene, state.T_cam_world)
-    pictures = ours.render(state.T_cam_world).rgb, theirs()
-    if config.pictures is not None:
-        from PIL import Image
-
-        Image.fromarray(np.hstack(pictures)).save(config.pictures)
-    difference = np.abs(pictures[0].astype(int) - pictures[1]).mean()
-    record = ratio(
-        "RGB frame, 640x480",
-        "mujoco.Renderer defaults",
-        lambda: ours.render(state.T_cam_world),
-        theirs,
-        config.repeats,
-        goal=3.0,
-    )
-    ours.close()
-    scene.close()
-    return {**record, "mean_difference_of_levels": float(difference)}
-
-
-def default_renderer(scene: Scene, T_cam_world: np.ndarray) -> Callable[[], np.ndarray]:
-    """A ``mujoco.Renderer`` of the scene as it is, with MuJoCo's default quality."""
-    import mujoco
-
-    from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K
-    from .graphics import aim
-
-    height, width = LINEMOD_IMAGE_SIZE
-    model = copy.copy(scene.world.model)
-    quality = mujoco.MjSpec().compile().vis.quality
-    model.vis.quality.offsamples = quality.offsamples
-    model.vis.quality.shadowsize = quality.shadowsize
-    model.vis.global_.offheight, model.vis.global_.offwidth = height, width
-    renderer = mujoco.Renderer(model, height, width)
-
-    def draw() -> np.ndarray:
-        renderer.update_scene(scene.data)
-        aim(renderer.scene, T_cam_world, LINEMOD_K, height, width)
-        return renderer.render()
-
-    return draw
-
-
-def compare_step(config: BenchConfig) -> dict[str, Any]:
-    """A whole ``env.step`` against one forward pass of a ResNet-18 on a 640x480 picture."""
-    import gymnasium as gym
-    import torch
-
-    from ..pose_estimator import load
-    from .reference_network import resnet18
-
-    estimator = load("mid", config.weights or "linemod")
-    env = gym.make("TwoViewPose-v0", estimator=estimator)
-    network = resnet18().eval()
-    picture = torch.zeros(1, 3, 480, 640)
-    rng = np.random.default_rng(config.seed)
-
-    def forward() -> None:
-        with torch.inference_mode():
-            network(picture)
-
-    ours, theirs = [], []
-    for repeat in range(config.repeats + 2):
-        env.reset(seed=config.seed + repeat)
-        action = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
-        ours.append(seconds(partial(env.step, action)))
-        theirs.append(seconds(forward))
-    env.close()
-    return make_record(
-        "env.step: render, detect, estimate, reward",
-        "ResNet-18 forward, 640x480",
-        ours[2:],
-        theirs[2:],
-        goal=1.0,
-    )
-
-
-def seconds(work: Callable[[], Any]) -> float:
-    """Wall time of one call."""
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
-
-
-def ratio(
-    work: str,
-    against: str,
-    ours: Callable[[], Any],
-    theirs: Callable[[], Any],
-    repeats: int,
-    goal: float,
-) -> dict[str, Any]:
-    """Times two calls in turn, after two of each that do not count."""
-    pairs = [(seconds(ours), seconds(theirs)) for _ in range(repeats + 2)][2:]
-    return make_record(work, against, [a for a, _ in pairs], [b for _, b in pairs], goal)
-
-
-def make_record(
-    work: str, against: str, ours: list[float], theirs: list[float], goal: float
-) -> dict[str, Any]:
-    """The record of a comparison: how many times as fast ours is."""
-    ours_median, theirs_median = float(np.median(ours)), float(np.median(theirs))
-    return {
-        "metric": "ratio",
-        "value": theirs_median / ours_median,
-        "unit": "",
-        "work": work,
-        "against": against,
-        "goal": goal,
-        "seconds": ours_median,
-        "seconds_against": theirs_median,
-        "n": len(ours),
-    }
+    models = {name: model for name, model in assets.load_objects(None).items() if model.symmetric}
+    return [compare_add_s(models, repeats, seed)]

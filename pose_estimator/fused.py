@@ -17,6 +17,9 @@ from torch.nn import functional as F
 
 from .encoder import SameConv
 
+_USUAL_CELLS = 16
+"""Voxels along a side of the volumes that the environment's estimator fuses."""
+
 _Conv = nn.Conv2d | nn.Conv3d
 _Norm = nn.BatchNorm2d | nn.BatchNorm3d
 M = TypeVar("M", bound=nn.Module)
@@ -69,11 +72,14 @@ class FusedConv(nn.Module):
             # A row and a column of zeros do the work of padding one side more than the other.
             weight = F.pad(weight, (1, 0, 1, 0))
             self.padding = [weight.shape[-1] // 2 - 1] * 2
-        layout = torch.channels_last if weight.ndim == 4 else torch.channels_last_3d
-        self.register_buffer("weight", weight.to(dtype).contiguous(memory_format=layout))
-        self.register_buffer("bias", None if bias is None else bias.to(dtype))
         self.stride, self.dilation = list(conv.stride), list(conv.dilation)
         self.groups = conv.groups
+        layout = torch.channels_last if weight.ndim == 4 else torch.channels_last_3d
+        weight = weight.to(dtype).contiguous(memory_format=layout)
+        if weight.ndim == 5:
+            weight = self._laid_out(weight)
+        self.register_buffer("weight", weight)
+        self.register_buffer("bias", None if bias is None else bias.to(dtype))
         self.activation = "relu" if relu else "none"
 
     def forward(self, x: Tensor) -> Tensor:
@@ -82,6 +88,17 @@ class FusedConv(nn.Module):
     def relu6(self, x: Tensor) -> Tensor:
         """The convolution, its result clipped to 0..6."""
         return self._apply_conv(x, "hardtanh", [0.0, 6.0])
+
+    def _laid_out(self, weight: Tensor) -> Tensor:
+        """A weight as oneDNN wants it for volumes of about the usual size.
+
+        Otherwise it would lay it out anew at every call; 2D maps come in too many sizes for one
+        layout to serve all.
+        """
+        size = [1, weight.shape[1] * self.groups, *[_USUAL_CELLS] * 3]
+        return torch.ops.mkldnn._reorder_convolution_weight(
+            weight, self.padding, self.stride, self.dilation, self.groups, size
+        )
 
     def _apply_conv(self, x: Tensor, activation: str, limits: list[float]) -> Tensor:
         return torch.ops.mkldnn._convolution_pointwise(

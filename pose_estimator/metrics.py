@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from ..assets.object_model import ObjectModel
 from .geometry import check_rigid, invert, transform
+from .nearest_points import NearestPoints
 
 
 class MeasuredObject(Protocol):
@@ -60,7 +61,11 @@ def add(T_est: np.ndarray, T_true: np.ndarray, points: np.ndarray) -> float:
 
 
 def add_s(
-    T_est: np.ndarray, T_true: np.ndarray, points: np.ndarray, *, tree: cKDTree | None = None
+    T_est: np.ndarray,
+    T_true: np.ndarray,
+    points: np.ndarray,
+    *,
+    tree: NearestPoints | cKDTree | None = None,
 ) -> float:
     """Mean distance from each point under the true pose to the nearest under the estimate (ADD-S).
 
@@ -68,7 +73,7 @@ def add_s(
         T_est: estimated T_cam_obj, (4, 4).
         T_true: true T_cam_obj, (4, 4).
         points: model points in the object's frame, (P, 3), metres.
-        tree: the k-d tree of ``points``, if the caller keeps one.
+        tree: an index of ``points``, if the caller keeps one; :class:`NearestPoints` is quickest.
 
     Returns:
         ADD-S in metres.
@@ -79,10 +84,11 @@ def add_s(
     T_est, T_true = _check_poses(T_est, T_true)
     points = _check_points(points)
     # Distances do not change under a rigid motion, so the search runs in the object's own frame
-    # (of the estimate), where one tree serves every pose.
-    queries = transform(invert(T_est) @ T_true, points)
-    distances, _ = (cKDTree(points) if tree is None else tree).query(queries)
-    return float(distances.mean())
+    # (of the estimate), where one index serves every pose.
+    motion = invert(T_est) @ T_true
+    if isinstance(tree, cKDTree):
+        return float(tree.query(transform(motion, points))[0].mean())
+    return (NearestPoints(points) if tree is None else tree).mean_distance(motion)
 
 
 def add_or_add_s(T_est: np.ndarray, T_true: np.ndarray, object_model: MeasuredObject) -> float:
@@ -102,7 +108,7 @@ def add_or_add_s(T_est: np.ndarray, T_true: np.ndarray, object_model: MeasuredOb
             "on it: use the object of a mesh file, or a dataset that has models"
         )
     if object_model.symmetric:
-        return add_s(T_est, T_true, object_model.points, tree=_surface_tree(object_model))
+        return add_s(T_est, T_true, object_model.points, tree=_surface_index(object_model))
     return add(T_est, T_true, object_model.points)
 
 
@@ -238,8 +244,8 @@ def bootstrap_interval(
 
 
 @lru_cache(maxsize=128)
-def _surface_tree(object_model: MeasuredObject) -> cKDTree:
-    return cKDTree(object_model.points)
+def _surface_index(object_model: MeasuredObject) -> NearestPoints:
+    return NearestPoints(object_model.points)
 
 
 def _distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:

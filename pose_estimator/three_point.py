@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from itertools import combinations
+from typing import NamedTuple
 
 import torch
 
@@ -31,19 +32,13 @@ def three_point_fits(
         line, 2 if the model's are.
     """
     corners = _triples(predicted.shape[1], predicted.device)
-    with torch.no_grad():
-        model_first, model_a, model_b = _corner_and_edges(model_points, corners)
-        frames, model_area, model_flat = _model_frames(model_points, model_a, model_b)
-        # The corners 1 and 2, less the centroid and times three, in the plane of the triangle.
-        a_x = (model_a * frames[0]).sum(dim=-1, keepdim=True)
-        b_x = (model_b * frames[0]).sum(dim=-1, keepdim=True)
-        b_y = (model_b * frames[1]).sum(dim=-1, keepdim=True)
-        model_centroid = model_first + (model_a + model_b) / 3
+    model = _model_triangles(model_points, corners)
+    frames, a_x, b_x, b_y = model.frames, model.a_x, model.b_x, model.b_y
 
     first, edge_a, edge_b = _corner_and_edges(predicted, corners)
     cross = torch.linalg.cross(edge_a, edge_b)
-    flat = cross.detach().norm(dim=-1) <= _FLATTEST_PREDICTED_TRIANGLE * model_area
-    unusable = (flat | model_flat)[..., None]
+    flat = cross.detach().norm(dim=-1) <= _FLATTEST_PREDICTED_TRIANGLE * model.area
+    unusable = (flat | model.flat)[..., None]
     # Stand-ins keep the unused branch finite, so that its zero gradient is zero and not NaN.
     axes = torch.eye(3, dtype=predicted.dtype, device=predicted.device)
     normal = _unit(torch.where(unusable, axes[2], cross))
@@ -55,13 +50,12 @@ def three_point_fits(
     turn = _unit(torch.where(unusable, axes[0], turn))
     triad = (turn, torch.linalg.cross(normal, turn), normal)
 
-    rotations = sum(
-        ours.transpose(1, 2)[..., None] * theirs.unsqueeze(-3)
-        for ours, theirs in zip(triad, frames, strict=True)
-    )
+    theirs = "khj" if model_points.ndim == 2 else "bkhj"
+    rotations = torch.einsum(f"bkhi,{theirs}->bihj", torch.stack(triad, 1), torch.stack(frames, -3))
+    turned = sum(ours * part for ours, part in zip(triad, model.centroid, strict=True))
     centroid = first + (edge_a + edge_b) / 3
-    translations = centroid.transpose(1, 2) - (rotations * model_centroid.unsqueeze(-3)).sum(dim=-1)
-    flatness = flat.to(predicted.dtype) + 2 * model_flat.to(predicted.dtype)
+    translations = (centroid - turned).transpose(1, 2)
+    flatness = flat.to(predicted.dtype) + 2 * model.flat.to(predicted.dtype)
     return rotations, translations, flatness
 
 
@@ -85,10 +79,46 @@ def misses(
     return (offsets.square().sum(dim=1) + 1e-12).sqrt()  # smooth at zero
 
 
-def _model_frames(
-    points: torch.Tensor, edge_a: torch.Tensor, edge_b: torch.Tensor
-) -> tuple[tuple[torch.Tensor, torch.Tensor, torch.Tensor], torch.Tensor, torch.Tensor]:
-    """Axes of the model's triangles (along an edge, across it, normal), areas, and who is flat."""
+class _Triangles(NamedTuple):
+    """The triangles of a model, (..., H, n) each.
+
+    Attributes:
+        frames: axes along an edge, across it, and normal; (..., H, 3) each.
+        area: twice the triangle's, (..., H).
+        flat: which are no triangles, (..., H).
+        a_x: the second corner's coordinate in the frame, less the first's, (..., H, 1).
+        b_x: the third's.
+        b_y: the third's along the second axis.
+        centroid: its coordinates along the frame's axes, from the model's origin, (..., H, 1) each.
+    """
+
+    frames: tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+    area: torch.Tensor
+    flat: torch.Tensor
+    a_x: torch.Tensor
+    b_x: torch.Tensor
+    b_y: torch.Tensor
+    centroid: tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+
+
+def _model_triangles(points: torch.Tensor, corners: torch.Tensor) -> _Triangles:
+    """The triangles of a model (K, 3), which are remembered, or of several (B, K, 3)."""
+    if points.ndim == 3 or points.device.type != "cpu":
+        return _find_triangles(points, corners)
+    return _known_triangles(points.numpy().tobytes(), points.shape, points.dtype)
+
+
+@lru_cache(maxsize=128)
+def _known_triangles(content: bytes, shape: torch.Size, dtype: torch.dtype) -> _Triangles:
+    # What inference mode makes could not take part in a later training.
+    with torch.inference_mode(False):
+        points = torch.frombuffer(bytearray(content), dtype=dtype).reshape(shape)
+        return _find_triangles(points, _triples(len(points), points.device))
+
+
+@torch.no_grad()
+def _find_triangles(points: torch.Tensor, corners: torch.Tensor) -> _Triangles:
+    first, edge_a, edge_b = _corner_and_edges(points, corners)
     cross = torch.linalg.cross(edge_a, edge_b)
     area = cross.norm(dim=-1)
     longest = torch.stack([edge_a, edge_b, edge_b - edge_a]).square().sum(dim=-1).amax(dim=0)
@@ -100,7 +130,26 @@ def _model_frames(
     axes = torch.eye(3, dtype=points.dtype, device=points.device)
     along = _unit(torch.where(flat[..., None], axes[0], edge_a))
     normal = _unit(torch.where(flat[..., None], axes[2], cross))
-    return (along, torch.linalg.cross(normal, along), normal), area, flat
+    frames = along, torch.linalg.cross(normal, along), normal
+    centroid = first + (edge_a + edge_b) / 3
+
+    def coordinate(vectors: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
+        return (vectors * axis).sum(dim=-1, keepdim=True)
+
+    across = frames[1]
+    return _Triangles(
+        frames=frames,
+        area=area,
+        flat=flat,
+        a_x=coordinate(edge_a, along),
+        b_x=coordinate(edge_b, along),
+        b_y=coordinate(edge_b, across),
+        centroid=(
+            coordinate(centroid, along),
+            coordinate(centroid, across),
+            coordinate(centroid, normal),
+        ),
+    )
 
 
 def _corner_and_edges(

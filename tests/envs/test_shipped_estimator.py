@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -43,3 +44,22 @@ def test_same_seed_same_bytes_and_second_views_help():
     assert runs[0] == runs[1]
     # Far apart in the mean (0.4 against 0.1), so eight scenes are enough.
     assert np.median(second) < 0.5 * np.median(first)
+
+
+def test_an_estimate_does_not_depend_on_what_else_is_asked():
+    env = gym.make("TwoViewPose-v0", scene="clutter")
+    estimator = env.unwrapped._estimator
+    requests = []
+    for seed in range(5):
+        env.reset(seed=seed)
+        env.step(np.array([0.5, 0.2, 0.0], np.float32))
+        views = env.unwrapped.views[: 1 + seed % 2]
+        # As new pictures, of which nothing is remembered.
+        requests.append((tuple(replace(view) for view in views), env.unwrapped.object_name))
+    env.close()
+    together = estimator.estimate_batch(requests)
+    assert len({name for _, name in requests}) > 1
+    for (views, name), found in zip(requests, together, strict=True):
+        alone = estimator.estimate(tuple(replace(view) for view in views), name)
+        for field in ("T_cam_obj", "keypoints", "keypoint_covariance"):
+            np.testing.assert_array_equal(getattr(found, field), getattr(alone, field))

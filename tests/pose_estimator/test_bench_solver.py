@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
+from two_view_pose.pose_estimator import bench_solver
 from two_view_pose.pose_estimator.bench_solver import (
     affine_poses,
     compare_robustness,
@@ -13,6 +16,7 @@ from two_view_pose.pose_estimator.bench_solver import (
     soft_ransac_poses,
 )
 from two_view_pose.pose_estimator.results import check_record
+from two_view_pose.pose_estimator.stopwatch import Missing
 
 
 @pytest.mark.parametrize("outliers", [0, 3])
@@ -36,9 +40,27 @@ def test_both_solve_easy_problems(poses_of):
     assert share_of_right_poses(problems, poses) == 0.6
 
 
-def test_records():
-    speed = check_record(compare_speed(repeats=1, seed=0))
-    assert speed["metric"] == "ratio" and speed["goal"] == 1.0 and speed["value"] > 0
+def test_records(monkeypatch):
+    missing = Missing("Open3D", "not here", bench_solver.OPEN3D_HINT)
+    monkeypatch.setattr(bench_solver, "in_own_process", lambda *_: missing)
+    *speeds, last = compare_speed(repeats=1, seed=0)
+    assert last is missing and "pip install open3d" in str(last)
+    for speed in map(check_record, speeds):
+        assert speed["metric"] == "ratio" and speed["goal"] == 1.0 and speed["value"] > 0
+    assert [(s["against"][4:], s["outliers"]) for s in speeds] == [
+        ("solvePnPRansac", 0),
+        ("estimateAffine3D", 0),
+        ("estimateAffine3D, made a pose", 0),
+        ("solvePnPRansac", 3),
+        ("estimateAffine3D", 3),
+        ("estimateAffine3D, made a pose", 3),
+    ]
     robust = check_record(compare_robustness(seed=0, count=60))
     assert robust["goal"] == 1.0 and 0 <= robust["share_against"] <= robust["share"] <= 1
     assert robust["value"] == pytest.approx(robust["share"] / robust["share_against"])
+
+
+def test_without_open3d_the_reason_is_told(monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    found = bench_solver.compare_with_open3d(repeats=1, seed=0)
+    assert isinstance(found, Missing) and found.against == "Open3D"

@@ -1,0 +1,197 @@
+"""Episodes of pixels without an estimator, beside pixels of the same triangles from others.
+
+Both sides draw 84x84 pictures of one scene of MuJoCo. Gymnasium's and dm_control's way is one step
+of physics and one picture; an episode of ours is a reset, which sets up a new scene and takes the
+reference view, and one step, which takes the second view.
+
+Each side has a process of its own and waits while the other works: Gymnasium and dm_control believe
+that nobody else draws, and in one process would draw into our OpenGL context.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..pose_estimator.stopwatch import WARM_UP, Missing, Record, make_record, seconds
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+SIDE = 84
+CAMERA = {"distance": 1.0, "azimuth": 90.0, "elevation": -45.0}
+"""Of Gymnasium's free camera, from the middle of the table: metres and degrees. It sees about as
+much of the scene as ours does."""
+
+
+class Side(NamedTuple):
+    """What one side does.
+
+    Attributes:
+        reset: begins an episode; of a peer it returns the picture, (84, 84, 3).
+        step: one step, likewise.
+        close: frees everything.
+    """
+
+    reset: Callable[[], Any]
+    step: Callable[[], Any]
+    close: Callable[[], Any]
+
+
+def compare_pixels(repeats: int, seed: int) -> list[Record | Missing]:
+    """A step and a whole episode of ``TwoViewPose-v0`` against both others."""
+    lines: list[Record | Missing] = []
+    for name, (_, install) in PEERS.items():
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(1, spawn) as ours, ProcessPoolExecutor(1, spawn) as theirs:
+            failure = theirs.submit(begin, name, seed).result()
+            if failure is not None:
+                lines.append(Missing(name, failure, install))
+                continue
+            ours.submit(begin, OURS, seed).result()
+            rounds = [
+                [side.submit(time_episode).result() for side in (ours, theirs)]
+                for _ in range(repeats + WARM_UP)
+            ]
+            for side in (ours, theirs):
+                side.submit(end).result()
+        lines += records(name, np.array(rounds[WARM_UP:]))
+    return lines
+
+
+def records(name: str, times: np.ndarray) -> list[Record]:
+    """A step beside a step, and a whole episode beside as many pictures.
+
+    Args:
+        name: of the peer.
+        times: seconds (N, 2, 2): of our reset and step, and of the peer's.
+    """
+    size = f"{SIDE}x{SIDE}"
+    steps, episodes = times[..., 1], times.sum(axis=2)
+    return [
+        make_record(
+            f"pixels, env.step, {size}",
+            f"{name}: mj_step, picture",
+            steps[:, 0].tolist(),
+            steps[:, 1].tolist(),
+            goal=2.0,
+        ),
+        make_record(
+            f"pixels, reset (a new scene) and step, {size}",
+            f"{name}: reset, picture, mj_step, picture",
+            episodes[:, 0].tolist(),
+            episodes[:, 1].tolist(),
+            goal=2.0,
+        ),
+    ]
+
+
+def our_pixels(seed: int) -> Side:
+    """Reset and step of ``TwoViewPose-v0``."""
+    import gymnasium as gym
+
+    env = gym.make("TwoViewPose-v0", estimator=None, resolution=(SIDE, SIDE), image_size=SIDE)
+    env.action_space.seed(seed)
+    env.reset(seed=seed)
+    return Side(env.reset, lambda: env.step(env.action_space.sample()), env.close)
+
+
+def gymnasium_pixels(seed: int) -> Side:
+    """Reset and step as a ``MujocoEnv`` does them, seen by Gymnasium's own renderer."""
+    import mujoco
+    from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
+
+    from .bench_rendering import default_model
+
+    scene = drawn_scene(seed)
+    model, start = default_model(scene, SIDE, SIDE), scene.data.qpos.copy()
+    data = mujoco.MjData(model)
+    renderer = MujocoRenderer(model, data, {**CAMERA, "lookat": np.zeros(3)}, SIDE, SIDE)
+
+    def reset() -> Any:
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = start
+        mujoco.mj_forward(model, data)
+        return renderer.render("rgb_array")
+
+    def step() -> Any:
+        mujoco.mj_step(model, data)
+        return renderer.render("rgb_array")
+
+    return Side(reset, step, renderer.close)
+
+
+def dm_control_pixels(seed: int) -> Side:
+    """Reset and step as dm_control's ``Physics`` does them, with ``physics.render``."""
+    from dm_control import mujoco as dm
+    from dm_control.mujoco import wrapper
+
+    from .bench_rendering import default_model
+
+    scene = drawn_scene(seed)
+    start = scene.data.qpos.copy()
+    physics = dm.Physics.from_model(wrapper.MjModel(default_model(scene, SIDE, SIDE)))
+
+    def reset() -> Any:
+        with physics.reset_context():
+            physics.data.qpos[:] = start
+        return physics.render(SIDE, SIDE)
+
+    def step() -> Any:
+        physics.step()
+        return physics.render(SIDE, SIDE)
+
+    return Side(reset, step, physics.free)
+
+
+def drawn_scene(seed: int) -> Scene:
+    """A scene after a reset, with its OpenGL context closed."""
+    from .. import assets
+    from .scene import Scene
+
+    scene = Scene(assets.load_objects(None))
+    scene.reset(np.random.default_rng(seed), scene.object_names[0])
+    scene.close()
+    return scene
+
+
+OURS = "Two-View Pose"
+PEERS: dict[str, tuple[Callable[[int], Side], str]] = {
+    "Gymnasium's MujocoRenderer": (gymnasium_pixels, "pip install imageio"),
+    "dm_control": (dm_control_pixels, "pip install dm_control"),
+}
+"""How each peer is made, and how it is installed."""
+
+_side: Side | None = None
+
+
+def begin(name: str, seed: int) -> str | None:
+    """In a child: makes one side ready. Returns why it does not work, if it does not."""
+    global _side
+    if name == OURS:
+        _side = our_pixels(seed)
+        return None
+    try:
+        _side = PEERS[name][0](seed)
+        picture = _side.reset()
+    except Exception as error:  # of others' code, in which anything can be missing
+        return f"{type(error).__name__}: {error}"
+    if picture.shape != (SIDE, SIDE, 3) or picture.std() < 1:
+        return f"it draws nothing: {picture.shape}, deviation {picture.std():.1f}"
+    return None
+
+
+def time_episode() -> tuple[float, float]:
+    """In a child: seconds of one reset and one step."""
+    assert _side is not None
+    return seconds(_side.reset), seconds(_side.step)
+
+
+def end() -> None:
+    """In a child: frees what it holds, while OpenGL is still there."""
+    if _side is not None:
+        _side.close()
