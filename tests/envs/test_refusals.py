@@ -77,7 +77,7 @@ def test_own_estimator_may_know_everything(make):
         ({"pose_noise": (1.0,)}, "pose_noise"),
         ({"pose_noise": (-1.0, 0.0)}, "pose_noise.rotation_deg"),
         ({"image_size": 8}, "image_size"),
-        ({"resolution": (100, 100)}, "resolution"),
+        ({"resolution": (0, 100)}, "resolution"),
         ({"render_mode": "ascii"}, "render_mode"),
         ({"objects": ["unicorn"]}, "unicorn"),
     ],
