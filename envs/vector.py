@@ -47,7 +47,7 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
     works on one half of a step, the workers arrange and render the other.
 
     Args:
-        kind: the environment of a lane.
+        kind: the environment of a lane, whose episodes are one step.
         num_envs: how many lanes.
         workers: processes that arrange and render scenes; None: as many as there are cores, and no
             more than lanes; 0: this process does it.
@@ -66,6 +66,8 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
         **kwargs: Any,
     ) -> None:
         super().__init__()
+        if kind.step is not ViewSelectionEnv.step:
+            raise ValueError(f"{kind.__name__} has steps of its own: use gymnasium's SyncVectorEnv")
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, got {num_envs}")
         if workers is not None and workers < 0:
@@ -111,7 +113,7 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self,
         *,
-        seed: int | Sequence[int | None] | None = None,  # a list, as Gymnasium's own take
+        seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
         """Begins an episode in every lane.

@@ -180,7 +180,8 @@ class Inference:
         return answers
 
     def _fuse(self, questions: Sequence[Fuse]) -> list[LevelOutput]:
-        views = ViewMaps(*(torch.cat(part) for part in zip(*(q.views for q in questions))))  # noqa: B905
+        parts = zip(*(question.views for question in questions), strict=True)
+        views = ViewMaps(*(torch.cat(part) for part in parts))
         guesses = torch.from_numpy(np.stack([q.guess for q in questions])).float()
         diameters = torch.tensor([q.diameter for q in questions], dtype=torch.float32)
         fine = self._network("volume")(views, guesses, diameters)[-1]

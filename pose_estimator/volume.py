@@ -168,7 +168,7 @@ class Volume(nn.Module):
             parts += [evidence[:, 0], evidence[:, 1:].sum(1)]
         x = torch.cat(parts, 1)
         x = x.reshape(*x.shape[:2], count, count, count)
-        x = self.output(self.trunk(x.contiguous(memory_format=torch.channels_last_3d)))
+        x = self.output(self.trunk(as_convolved(x)))
         with torch.autocast(centre.device.type, enabled=False):
             logits = x.reshape(*x.shape[:2], -1).float()
             if evidence is not None:
@@ -209,6 +209,14 @@ class VolumeNet(nn.Module):
         coarse = self.coarse(views, guess, self.config.coarse, diameter)
         centre = coarse.keypoints[:, -1].detach()
         return [coarse, self.fine(views, centre, self.config.fine, diameter)]
+
+
+def as_convolved(x: Tensor) -> Tensor:
+    """A volume (B, C, N, N, N) laid out and rounded as the convolutions want it, in one pass."""
+    device = x.device.type
+    reduced = torch.is_autocast_enabled(device)
+    dtype = torch.get_autocast_dtype(device) if reduced else x.dtype
+    return x.to(dtype, memory_format=torch.channels_last_3d)
 
 
 def voxel_centres(centre: Tensor, half: Tensor, count: int) -> Tensor:

@@ -7,6 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from estimators import ConstantEstimator, TableEstimator
+from two_view_pose.envs.sequential import TwoViewPoseSequentialEnv
 from two_view_pose.envs.two_view_pose import TwoViewPoseDiscreteEnv, TwoViewPoseEnv
 from two_view_pose.envs.vector import TwoViewPoseVectorEnv
 
@@ -165,6 +166,11 @@ def test_what_is_wrong_in_a_worker_is_raised_here(make_vector):
 def test_arguments_are_checked(make_vector, arguments, text):
     with pytest.raises(ValueError, match=text):
         make_vector(**arguments)
+
+
+def test_episodes_of_several_steps_are_refused(make_vector):
+    with pytest.raises(ValueError, match="SyncVectorEnv"):
+        make_vector(TwoViewPoseSequentialEnv)
 
 
 def test_one_seed_for_each_lane(make_vector):
