@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import subprocess
 import sys
@@ -13,6 +12,7 @@ from time import perf_counter
 
 import numpy as np
 
+from ..pose_estimator.cores import available_cores
 from ..pose_estimator.results import versions, write_results
 
 _RENDER_ONE_FRAME = """
@@ -86,7 +86,7 @@ def check_opengl() -> Check:
 
 def check_machine() -> Iterator[Check]:
     """Python, processor and versions."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    cores = available_cores()
     found = versions()
     yield Check("machine", None, f"{platform.system()} {platform.machine()}, {cores} cores")
     yield Check("Python", sys.version_info >= (3, 11), found["python"])

@@ -6,7 +6,6 @@ episodes of one step want: an environment that resets in the next would waste ha
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -16,6 +15,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
 
+from ..pose_estimator.cores import available_cores
 from ..pose_estimator.estimate import PoseEstimate
 from .base import ViewSelectionEnv
 from .protocol import PoseEstimator, resolve_estimator
@@ -72,8 +72,7 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
             raise ValueError(f"num_envs must be at least 1, got {num_envs}")
         if workers is not None and workers < 0:
             raise ValueError(f"workers must be at least 0, or None, got {workers}")
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-        count = min(num_envs, cores or 1) if workers is None else workers
+        count = min(num_envs, available_cores()) if workers is None else workers
         self.num_envs = num_envs
         self._workers: StudioWorkers | None = None
         self._studios: list[_LateStudio | RemoteStudio] = []

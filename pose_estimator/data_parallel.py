@@ -21,6 +21,8 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
+from .cores import available_cores
+
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
@@ -77,9 +79,7 @@ def own_threads() -> int | None:
     """
     if world_size() == 1:
         return None
-    known = hasattr(os, "sched_getaffinity")
-    cores = len(os.sched_getaffinity(0)) if known else os.cpu_count() or 1
-    return max(1, cores // int(os.environ.get("LOCAL_WORLD_SIZE", world_size())))
+    return max(1, available_cores() // int(os.environ.get("LOCAL_WORLD_SIZE", world_size())))
 
 
 def own_share(whole: Sequence[_Item]) -> Sequence[_Item]:
