@@ -11,6 +11,7 @@ import os
 import weakref
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
 from ..pose_estimator.geometry import invert
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 SHADOW_MAP_SIZE = 512
 LARGEST_SIDE = 4096
-_MAX_GEOMS = 200
+_MAX_GEOMS = 200  # at most 255: then a byte tells them apart
 
 TILE = (480, 640)
 """Height and width in pixels of the parts in which larger silhouettes are drawn."""
@@ -103,24 +104,25 @@ class Graphics:
             pixels = np.ascontiguousarray(pixels[::-1])
         if buffer is not None:
             # The buffer holds d = near (far - z) / (z (far - near)), reversed for precision.
-            reciprocal = buffer[::-1] * np.float32((FAR - NEAR) / (FAR * NEAR)) + np.float32(
-                1 / FAR
-            )
-            buffer = np.float32(1.0) / reciprocal
+            buffer = buffer[::-1] * np.float32((FAR - NEAR) / (FAR * NEAR))
+            buffer += np.float32(1 / FAR)
+            np.divide(np.float32(1.0), buffer, out=buffer)
         return pixels, buffer
 
-    def geoms(self, rect: mujoco.MjrRect) -> np.ndarray:
-        """The geom at each pixel of a picture drawn with ``segment``, (H, W) int32, else -1."""
+    def geoms(self, rect: mujoco.MjrRect, numbers: np.ndarray | None = None) -> np.ndarray:
+        """What is at each pixel of a picture drawn with ``segment``, (H, W) int32, else -1.
+
+        Args:
+            rect: as :meth:`draw` returned it.
+            numbers: of the model's geoms, (ngeom,); their ids if none are given.
+        """
         pixels, _ = self.read(rect)
         assert pixels is not None and self._scene is not None
-        table = np.full(self._scene.ngeom + 1, -1, dtype=np.int32)
+        table = np.full(256, -1, dtype=np.int32)  # a segment, plus one, is a pixel's first byte
         for geom in self._scene.geoms[: self._scene.ngeom]:
             if geom.segid >= 0 and geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
-                table[geom.segid + 1] = geom.objid
-        segments = pixels[..., 0].astype(np.int32)
-        if self._scene.ngeom >= 256:
-            segments += pixels[..., 1].astype(np.int32) << 8
-        return table[segments]
+                table[geom.segid + 1] = geom.objid if numbers is None else numbers[geom.objid]
+        return cv2.LUT(cv2.extractChannel(pixels, 0), table)
 
     def silhouette(
         self, geom: int, T_cam_world: np.ndarray, K: np.ndarray, height: int, width: int

@@ -173,10 +173,9 @@ def set_texture(world: World, name: str, image: np.ndarray) -> int:
     """Writes (size, size, 3) uint8 into the texture ``name``; returns its id."""
     model = world.model
     texture = world.textures[name]
-    if model.tex_height[texture] != image.shape[0]:  # a cube: six sides below each other
-        image = np.tile(image, (6, 1, 1))
+    sides = model.tex_height[texture] // image.shape[0]  # a cube: six below each other
     start = model.tex_adr[texture]
-    model.tex_data[start : start + image.size] = image.reshape(-1)
+    model.tex_data[start : start + sides * image.size].reshape(sides, -1)[:] = image.reshape(-1)
     return texture
 
 

@@ -122,9 +122,9 @@ class SceneRenderer:
         fractions = None
         if masks or visibility:
             rect = graphics.draw(T_cam_world, K, self.height, self.width, segment=True)
-            index = np.full(self._scene.world.model.ngeom + 1, -1, dtype=np.int32)
-            index[present] = np.arange(len(present))
-            instances = index[graphics.geoms(rect)]
+            numbers = np.full(self._scene.world.model.ngeom, -1, dtype=np.int32)
+            numbers[present] = np.arange(len(present))
+            instances = graphics.geoms(rect, numbers)
         if visibility:
             assert instances is not None
             fractions = self._fractions(T_cam_world, K, names, present, instances)

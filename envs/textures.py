@@ -1,6 +1,7 @@
 """Procedural textures: what tables, walls and plain shapes are covered with.
 
-Every texture is (size, size, 3) uint8; all but collages and markers tile without a seam.
+Every texture is (size, size, 3) uint8; all but collages and markers tile without a seam. They are
+drawn in place: an episode draws seven, and large arrays that come and go fragment the heap.
 """
 
 from __future__ import annotations
@@ -40,28 +41,36 @@ def procedural_texture(
     if pattern == "markers":
         return draw_markers(rng, size)
     if pattern == "plain":
-        mix = 0.12 * fractal_noise(rng, size, 8)
+        mix = fractal_noise(rng, size, 8)
+        mix *= 0.12
     elif pattern == "noise":
         mix = fractal_noise(rng, size, int(rng.integers(3, 12)))
     elif pattern == "wood":
         mix = _wood(rng, size)
     elif pattern == "checker":
         cells = int(2 * rng.integers(2, 9))
-        i = np.arange(size) * cells // size
-        mix = ((i[:, None] + i[None]) % 2) * 0.9 + 0.1 * fractal_noise(rng, size, 6)
+        odd = np.arange(size) * cells // size % 2 == 1
+        mix = fractal_noise(rng, size, 6)
+        mix *= 0.1
+        bright = odd[:, None] != odd[None]
+        np.add(mix, 0.9, out=mix, where=bright, dtype=np.float64, casting="same_kind")
     elif pattern == "gradient":
         i = np.cos(2 * np.pi * (np.arange(size) / size + rng.uniform()))
-        mix = (i[:, None] * rng.uniform(-1, 1) + i[None] * rng.uniform(-1, 1)) / 4 + 0.5
+        mix = i[:, None] * rng.uniform(-1, 1) + i[None] * rng.uniform(-1, 1)
+        mix /= 4
+        mix += 0.5
     elif pattern == "speckle":
-        mix = 0.3 * fractal_noise(rng, size, 6)
+        mix = fractal_noise(rng, size, 6)
+        mix *= 0.3
         mix += rng.random((size, size), dtype=np.float32) > rng.uniform(0.9, 0.99)
     else:
         raise ValueError(f"pattern must be one of {PATTERNS + PRINTED}, got {pattern!r}")
     steps = np.linspace(0.0, 1.0, 256)[:, None]
     low, high = np.asarray(colours)
     ramp = np.clip(255.0 * (low + (high - low) * steps), 0, 255).astype(np.uint8)
-    levels = cv2.convertScaleAbs(np.clip(mix, 0.0, 1.0).astype(np.float32), alpha=255.0)
-    return cv2.LUT(cv2.merge([levels] * 3), ramp[:, None, :])
+    np.clip(mix, 0.0, 1.0, out=mix)
+    levels = cv2.convertScaleAbs(mix.astype(np.float32, copy=False), alpha=255.0)
+    return cv2.applyColorMap(levels, ramp[:, None, :])
 
 
 def fractal_noise(rng: np.random.Generator, size: int, cells: int) -> np.ndarray:
@@ -78,7 +87,9 @@ def fractal_noise(rng: np.random.Generator, size: int, cells: int) -> np.ndarray
         weight *= 0.6
     total = _periodic(total, size, size)
     low, high = float(total.min()), float(total.max())
-    return (total - low) / max(high - low, 1e-6)
+    total -= low
+    total /= max(high - low, 1e-6)
+    return total
 
 
 def _periodic(grid: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -94,13 +105,18 @@ def _periodic(grid: np.ndarray, height: int, width: int) -> np.ndarray:
 
 def _wood(rng: np.random.Generator, size: int) -> np.ndarray:
     """Grain along x: stripes of noise, bent a little, with finer fibres."""
-    bend = _periodic(rng.random((4, 4), dtype=np.float32), size, size) * rng.uniform(0.02, 0.12)
-    rows = np.arange(size, dtype=np.float32)[:, None] / size + bend
+    grain = _periodic(rng.random((4, 4), dtype=np.float32), size, size)
+    grain *= rng.uniform(0.02, 0.12)
+    grain += np.arange(size, dtype=np.float32)[:, None] / size
     profile = np.interp(
         np.arange(4 * size) / (4 * size),
         np.linspace(0, 1, 65),
         np.append(values := rng.random(64), values[0]),
     ).astype(np.float32)
-    stripes = profile[(rows * 4 * size).astype(np.int64) % (4 * size)]
+    for rows in np.array_split(grain, 8):
+        rows[:] = profile[(rows * 4 * size).astype(np.int64) % (4 * size)]
     fibres = _periodic(rng.random((size // 4, 8), dtype=np.float32), size, size)
-    return 0.65 * stripes + 0.35 * fibres
+    grain *= 0.65
+    fibres *= 0.35
+    grain += fibres
+    return grain

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Iterator
 
 import numpy as np
@@ -45,6 +46,16 @@ def test_textures_keep_to_their_colours_and_tile(pattern: str) -> None:
             steps = np.abs(np.diff(values, axis=axis)).max()
             seam = np.abs(values.take(0, axis) - values.take(-1, axis)).max()
             assert seam <= 1.5 * steps + 3
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_drawing_a_texture_holds_little_more_than_the_texture(pattern: str) -> None:
+    """Arrays of many megabytes at every reset are what fragments a long run's heap."""
+    tracemalloc.start()
+    image = procedural_texture(np.random.default_rng(0), 512, pattern, COLOURS)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 4.5 * image.nbytes
 
 
 @pytest.mark.parametrize("pattern", PRINTED)
