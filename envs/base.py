@@ -22,7 +22,7 @@ from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, View, check_rigid, inv
 from ..pose_estimator.metrics import add_or_add_s
 from .carrier import Carrier, FreeFlyingCarrier, PoseNoise
 from .episode import Episode
-from .figure import Panel, comparison
+from .episode_figure import episode_figure
 from .observation import Observation, SpherePosition, make_observation, observation_space
 from .options import ResetOptions
 from .protocol import PoseEstimator, check_known_objects, resolve_estimator
@@ -314,10 +314,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
             RGB uint8, (664, 1360, 3).
         """
         episode = self._running()
-        model = self._objects[episode.object_name]
-        panels = [self._panel(i) for i in range(len(episode.views))]
-        subtitle = f"{100 * episode.visibility:.0f} % visible in the reference view"
-        return comparison(model, subtitle, panels[0], panels[-1] if len(panels) > 1 else None)
+        return episode_figure(episode, self._objects[episode.object_name], self.sphere_centre)
 
     def close(self) -> None:
         """Frees the GL context and the window; may be called again."""
@@ -378,22 +375,3 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
             "baseline_deg": episode.baseline_deg(self.sphere_centre),
             "ground_truth": truth,
         }
-
-    def _panel(self, index: int) -> Panel:
-        episode = self._running()
-        estimated = bool(episode.estimates)
-        title, note = "Reference view", "pose from this view alone" if estimated else ""
-        if index > 0:
-            angle = episode.baseline_deg(self.sphere_centre)
-            title = "Second view"
-            note = f"{angle:.0f}° from the first, camera moved {episode.travel:.2f} m"
-        relative = episode.cameras[index] @ invert(episode.cameras[0])
-        return Panel(
-            title,
-            note,
-            episode.views[index].image,
-            self._K,
-            T_cam_obj_true=episode.T_cam_obj_true(index),
-            T_cam_obj_estimate=relative @ episode.estimates[index].T_cam_obj if estimated else None,
-            add=episode.errors[index] if estimated else None,
-        )

@@ -1,16 +1,12 @@
-"""Training batches from a pack of crops: single targets, pairs of views, and whole frames."""
+"""Training samples from a pack of crops: single targets, pairs of views, and whole frames."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeVar
 
 import cv2
 import numpy as np
-import torch
-from torch import Tensor
 
 from ..assets.object_model import ObjectModel
 from .augmentation import (
@@ -23,41 +19,14 @@ from .augmentation import (
 )
 from .crops import STORED_SCALE, STORED_SIDE, CropPack
 from .cut_and_paste import CropPaster, CutAndPasteConfig
-from .data_parallel import own_share, world_size
 from .detector import DetectorConfig, detection_targets
 from .features import FeatureConfig
 from .geometry import invert, project
 from .symmetry import canonical_pose
-
-_Sample = TypeVar("_Sample")
-_Batch = TypeVar("_Batch")
+from .target_sample import TargetSample, direction_field
 
 _OUTLINE_POINTS = 400
 """Points of a surface that are enough for the outline of one of its sides."""
-
-
-@dataclass(frozen=True, eq=False)
-class TargetSample:
-    """One training crop.
-
-    Attributes:
-        crop: RGB uint8 (S, S, 3).
-        mask: (G, G) float32, covered fraction of each cell by the visible object.
-        directions: (9, 2, G, G) float32 unit vectors towards the keypoints.
-        object_index: which object.
-        K: (3, 3) camera of the crop (any affine of the true one, turned and shifted).
-        T_cam_obj: (4, 4) the pose that is trained.
-        depth: (S, S) float32 metres along the camera's z, of all that the crop shows, 0 = unknown;
-            None where the dataset has no depth maps.
-    """
-
-    crop: np.ndarray
-    mask: np.ndarray
-    directions: np.ndarray
-    object_index: int
-    K: np.ndarray
-    T_cam_obj: np.ndarray
-    depth: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -281,103 +250,6 @@ class TrainingSet:
             sides[index] = config.roi_scale * self.models[index].diameter * focal / T[2, 3]
             present[index] = True
         return (picture, *detection_targets(centres, sides, present, config))
-
-
-def direction_field(pixels: np.ndarray, config: FeatureConfig) -> np.ndarray:
-    """Unit vectors (9, 2, G, G) from each output cell to keypoints (9, 2) in crop pixels."""
-    cells = np.arange(config.grid) * config.stride + (config.stride - 1) / 2
-    field = np.empty((len(pixels), 2, config.grid, config.grid), np.float32)
-    field[:, 0] = pixels[:, 0, None, None] - cells[None, None, :]
-    field[:, 1] = pixels[:, 1, None, None] - cells[None, :, None]
-    # Within half a cell the direction means nothing; let it go to zero there.
-    return field / np.maximum(np.linalg.norm(field, axis=1, keepdims=True), config.stride / 2)
-
-
-def stack_targets(samples: list[TargetSample]) -> dict[str, Tensor]:
-    """Collates samples into a batch; crops become float (B, 3, S, S), channels last."""
-    crops = torch.from_numpy(np.stack([s.crop for s in samples])).permute(0, 3, 1, 2).float()
-    return {
-        "crop": crops,
-        "mask": torch.from_numpy(np.stack([s.mask for s in samples])),
-        "directions": torch.from_numpy(np.stack([s.directions for s in samples])),
-        "object": torch.tensor([s.object_index for s in samples]),
-        "K": torch.from_numpy(np.stack([s.K for s in samples])).float(),
-        "T_cam_obj": torch.from_numpy(np.stack([s.T_cam_obj for s in samples])).float(),
-    }
-
-
-def batches(
-    draw: Callable[[np.random.Generator], _Sample],
-    size: int,
-    seed: int,
-    start: int,
-    threads: int = 2,
-    ahead: int = 3,
-) -> Iterator[list[_Sample]]:
-    """Endless batches of samples that are drawn each on its own; see :func:`prepared`.
-
-    Args:
-        draw: makes one sample.
-        size: samples a batch, in each of the processes that train together.
-        seed: of everything drawn.
-        start: number of the first batch, to resume.
-        threads: how many threads.
-        ahead: how many batches to prepare ahead.
-    """
-    return prepared(
-        lambda rng: [draw(own) for own in own_generators(rng, size)], seed, start, threads, ahead
-    )
-
-
-def own_generators(rng: np.random.Generator, size: int) -> Sequence[np.random.Generator]:
-    """A generator for each of the ``size`` samples that are this process's of a batch.
-
-    W processes get what one with W * ``size`` samples gets, each its part.
-    """
-    return own_share(rng.spawn(size * world_size()))
-
-
-def generator_of(sample: TargetSample, seed: int) -> np.random.Generator:
-    """A generator for what else is random about a sample that was drawn.
-
-    It is the same wherever in a batch the sample stands, and another one for another draw of the
-    same target, whose camera K is jittered.
-    """
-    return np.random.default_rng([seed, *np.ascontiguousarray(sample.K).view(np.uint32).flat])
-
-
-def prepared(
-    make: Callable[[np.random.Generator], _Batch],
-    seed: int,
-    start: int,
-    threads: int = 2,
-    ahead: int = 3,
-) -> Iterator[_Batch]:
-    """Endless batches, prepared ahead by threads (OpenCV lets go of the interpreter lock).
-
-    Args:
-        make: makes one batch.
-        seed: of everything drawn; batch n is the same whatever came before it.
-        start: number of the first batch, to resume.
-        threads: how many threads.
-        ahead: how many batches to prepare ahead.
-    """
-
-    def numbered(number: int) -> _Batch:
-        return make(np.random.default_rng([seed, number]))
-
-    with ThreadPoolExecutor(threads) as pool:
-        queue: list[Future[_Batch]] = []
-        number = start
-        try:
-            while True:
-                while len(queue) <= ahead:
-                    queue.append(pool.submit(numbered, number))
-                    number += 1
-                yield queue.pop(0).result()
-        finally:
-            for future in queue:
-                future.cancel()
 
 
 def _normalised(weights: np.ndarray) -> np.ndarray:

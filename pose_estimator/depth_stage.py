@@ -11,8 +11,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from .cascade import CascadeViews, DepthOutput, half_range
-from .dataset import TargetSample, batches, generator_of, stack_targets
+from .loader import batches
 from .stages import StageBase
+from .target_sample import TargetSample, generator_of, stack_targets
 
 _Pair = tuple[TargetSample, TargetSample, np.ndarray]
 

@@ -47,32 +47,13 @@ def choose_together(
     total = np.log(np.maximum([roi.score for roi in first], 1e-6))
     partners = []
     for regions, view in zip(others, views[1:], strict=True):
-        misfits, _ = _misfits(first, regions, views[0], view, diameter, scale)
+        deviations, _ = misfits(first, regions, views[0], view, diameter, scale)
         scores = np.log(np.maximum([roi.score for roi in regions], 1e-6))
-        agreement = scores - 0.5 * misfits.min(axis=-1)
+        agreement = scores - 0.5 * deviations.min(axis=-1)
         partners.append(agreement.argmax(axis=1))
         total = total + agreement.max(axis=1)
     best = int(np.argmax(total))
     return [best, *(int(chosen[best]) for chosen in partners)]
-
-
-def misfit(
-    first: Roi, second: Roi, view: View, other: View, diameter: float, scale: float
-) -> float:
-    """How badly one point in space explains two regions: the least sum of squared deviations.
-
-    Args:
-        first: a region of ``view``.
-        second: a region of ``other``.
-        view: picture and camera.
-        other: picture and camera.
-        diameter: of the object, metres.
-        scale: side of a region in diameters.
-
-    Returns:
-        0 for regions of one object; 16 at most.
-    """
-    return float(_misfits([first], [second], view, other, diameter, scale)[0].min())
 
 
 def sizes_together(
@@ -95,20 +76,20 @@ def sizes_together(
     """
     first, *others = regions
     pairs = [
-        _misfits([first], [other], views[0], view, diameter, scale)
+        misfits([first], [other], views[0], view, diameter, scale)
         for other, view in zip(others, views[1:], strict=True)
     ]
-    best = int(np.sum([misfits for misfits, _ in pairs], axis=0).argmin()) if pairs else 0
+    best = int(np.sum([deviations for deviations, _ in pairs], axis=0).argmin()) if pairs else 0
     sized, agreed = [], False
-    for other, view, (misfits, depths) in zip(others, views[1:], pairs, strict=True):
-        agrees = misfits[0, 0, best] < _LARGEST_MISFIT
+    for other, view, (deviations, depths) in zip(others, views[1:], pairs, strict=True):
+        agrees = deviations[0, 0, best] < _LARGEST_MISFIT
         agreed |= bool(agrees)
         side = scale * diameter * float(view.K[0, 0]) / depths[0, best]
         sized.append(replace(other, side=side) if agrees else other)
     return [replace(first, side=first.side / _DEPTHS[best]) if agreed else first, *sized]
 
 
-def _misfits(
+def misfits(
     firsts: Sequence[Roi],
     seconds: Sequence[Roi],
     view: View,
@@ -116,7 +97,7 @@ def _misfits(
     diameter: float,
     scale: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How badly each depth along the first regions' rays explains two; see :func:`misfit`.
+    """How badly one point in space explains two regions, at each depth along the first's ray.
 
     Args:
         firsts: A regions of ``view``.
@@ -127,8 +108,8 @@ def _misfits(
         scale: side of a region in diameters.
 
     Returns:
-        The misfit (A, B, D) of each of ``_DEPTHS``, and the depth (A, D) in the other camera,
-        metres.
+        The sum of squared deviations (A, B, D) at each of ``_DEPTHS``, 0 for what regions of one
+        object have, 16 at most; and the depth (A, D) in the other camera, metres.
     """
     expected = np.array([depth_of_roi(roi, view.K, diameter, scale) for roi in firsts])
     rays = np.array([(*roi.centre, 1.0) for roi in firsts]) @ np.linalg.inv(view.K).T
@@ -149,5 +130,5 @@ def _misfits(
         + (np.log(_DEPTHS) / _SIZE_DEVIATION) ** 2
         + (np.log(safe[:, None, :, 2] / depths[:, None]) / _SIZE_DEVIATION) ** 2
     )
-    misfits = np.where(before[:, None], np.minimum(deviations, _LARGEST_MISFIT), _LARGEST_MISFIT)
-    return misfits, seen[..., 2]
+    deviations = np.minimum(deviations, _LARGEST_MISFIT)
+    return np.where(before[:, None], deviations, _LARGEST_MISFIT), seen[..., 2]

@@ -11,14 +11,15 @@ import torch
 from torch import Tensor
 
 from .data_parallel import quotient
-from .dataset import TargetSample, batches, generator_of, stack_targets
 from .depth_augmentation import DepthAugmentationConfig, augment_depth
 from .geometry import grid_matrix
+from .loader import batches
 from .losses import keypoint_loss, pose_loss
 from .point_cloud import LEAST_POINTS, sample_points
 from .point_voting import PointMaps, PointVotes, point_features
 from .solvers import RigidMotions, solve
 from .stages import StageBase, correct_poses, vote_apart
+from .target_sample import TargetSample, generator_of, stack_targets
 
 _HELD_OUT_BATCHES = 10
 """Batches of 32 crops that a validation takes."""

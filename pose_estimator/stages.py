@@ -11,22 +11,17 @@ import torch
 from torch import Tensor
 
 from ..assets.object_model import ObjectModel
-from .dataset import (
-    TargetSample,
-    TrainingSet,
-    batches,
-    own_generators,
-    prepared,
-    stack_targets,
-)
+from .dataset import TrainingSet
 from .detector import decode
 from .features import Features2D
 from .geometry import make_transform
 from .inference import vote
+from .loader import batches, own_generators, prepared
 from .losses import box_loss, direction_loss, heat_map_loss, mask_loss
 from .metrics import add_or_add_s
 from .networks import PoseNetworks, has_fast_bfloat16
 from .solvers import RigidMotions
+from .target_sample import TargetSample, stack_targets
 
 _Frame = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 

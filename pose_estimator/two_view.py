@@ -6,6 +6,7 @@ anew; and the second votes are fused again. How the views are fused is the metho
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -25,7 +26,7 @@ _LARGEST_TURN = 1.5
 """Largest turn in radians of a crop of the second look."""
 
 
-class TwoViewEstimator(SingleViewEstimator):
+class TwoViewEstimator(SingleViewEstimator, ABC):
     """A fusion of views; a method adds :meth:`fuse`.
 
     With one view it answers as ``single`` does: that is the first pose of the environment.
@@ -41,6 +42,7 @@ class TwoViewEstimator(SingleViewEstimator):
         again = self.look_again(encoded, object_name, fused)
         return replace(self.fuse(again, object_name, fused), rois=fused.rois)
 
+    @abstractmethod
     def fuse(
         self, encoded: Sequence[EncodedView], object_name: str, first: PoseEstimate
     ) -> PoseEstimate:
@@ -55,7 +57,6 @@ class TwoViewEstimator(SingleViewEstimator):
             The pose in the reference camera; ``keypoints`` are those that the solver was given, or
             those of a pose that was refined after it.
         """
-        raise NotImplementedError(f"{type(self).__name__} does not say how it fuses views")
 
     def answer(
         self,

@@ -11,12 +11,13 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from .dataset import TargetSample, batches, generator_of, stack_targets
 from .geometry import grid_matrix, make_transform
+from .loader import batches
 from .losses import distribution_loss, keypoint_loss, pose_loss
 from .solvers import RigidMotions, solve
 from .stages import StageBase, correct_poses, vote_apart
 from .symmetry import keypoint_permutations
+from .target_sample import TargetSample, generator_of, stack_targets
 from .volume import LevelOutput, ViewMaps
 
 _Pair = tuple[TargetSample, TargetSample, np.ndarray]

@@ -9,8 +9,9 @@ from two_view_pose.pose_estimator import cut_and_paste
 from two_view_pose.pose_estimator.augmentation import AugmentationConfig, erase_box
 from two_view_pose.pose_estimator.crops import STORED_SIDE, CropPack
 from two_view_pose.pose_estimator.cut_and_paste import CropPaster, CutAndPasteConfig, blend
-from two_view_pose.pose_estimator.dataset import TrainingSet, batches
+from two_view_pose.pose_estimator.dataset import TrainingSet
 from two_view_pose.pose_estimator.features import FeatureConfig
+from two_view_pose.pose_estimator.loader import batches
 
 COLOURS = np.array([(230, 20, 20), (20, 230, 20), (20, 20, 230)], np.uint8)
 GROUND = np.array([(60, 60, 60), (200, 200, 60), (60, 200, 200)], np.uint8)

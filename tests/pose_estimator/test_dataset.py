@@ -13,18 +13,14 @@ from two_view_pose.pose_estimator.augmentation import (
     repaint_side,
 )
 from two_view_pose.pose_estimator.crops import CropPack
-from two_view_pose.pose_estimator.dataset import (
-    SamplingConfig,
-    TargetSample,
-    TrainingSet,
-    batches,
-    stack_targets,
-)
+from two_view_pose.pose_estimator.dataset import SamplingConfig, TrainingSet
 from two_view_pose.pose_estimator.detector import DetectorConfig, decode
 from two_view_pose.pose_estimator.features import FeatureConfig, Features2D
 from two_view_pose.pose_estimator.geometry import grid_matrix, project, transform
 from two_view_pose.pose_estimator.inference import vote
+from two_view_pose.pose_estimator.loader import batches
 from two_view_pose.pose_estimator.symmetry import canonical_pose
+from two_view_pose.pose_estimator.target_sample import TargetSample, stack_targets
 
 CONFIG = FeatureConfig()
 PLAIN = AugmentationConfig(noise=0, blur=0, brightness=0, contrast=0, white_balance=0)

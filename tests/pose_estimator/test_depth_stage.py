@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from torch import nn
 from two_view_pose.pose_estimator.cascade import DepthOutput
 from two_view_pose.pose_estimator.crops import CropPack
-from two_view_pose.pose_estimator.dataset import TargetSample, TrainingSet
+from two_view_pose.pose_estimator.dataset import TrainingSet
 from two_view_pose.pose_estimator.depth_stage import CascadeStage, Truth, depth_loss, true_cells
 from two_view_pose.pose_estimator.geometry import (
     LINEMOD_K,
@@ -21,6 +21,7 @@ from two_view_pose.pose_estimator.geometry import (
     project,
 )
 from two_view_pose.pose_estimator.networks import PoseNetworks
+from two_view_pose.pose_estimator.target_sample import TargetSample
 
 SIDE = 128
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import torch
-from two_view_pose.pose_estimator.dataset import direction_field
 from two_view_pose.pose_estimator.features import FeatureConfig, KeypointNet
 from two_view_pose.pose_estimator.frontend import grid_matrix
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, crop_matrix, project
 from two_view_pose.pose_estimator.networks import PoseNetworks
+from two_view_pose.pose_estimator.target_sample import direction_field
 from two_view_pose.pose_estimator.voting import vote_keypoints
 
 

@@ -6,12 +6,17 @@ from two_view_pose.pose_estimator.estimate import Roi, roi_of_pose
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, make_transform
 from two_view_pose.pose_estimator.joint_detection import (
     choose_together,
-    misfit,
+    misfits,
     sizes_together,
 )
 from votes import camera, view
 
 DIAMETER, SCALE = 0.1, 1.4
+
+
+def misfit(first: Roi, second: Roi, *views) -> float:
+    """Of the best depth along the ray of one region."""
+    return float(misfits([first], [second], *views, DIAMETER, SCALE)[0].min())
 
 
 def seen(place, degrees: float, score: float) -> Roi:
@@ -56,18 +61,13 @@ def test_three_views_agree():
 @pytest.mark.parametrize("degrees", [22, 60, 150])
 def test_misfit_of_one_object_is_small_and_of_two_is_large(degrees):
     views = view(20), view(degrees)
-    same = misfit(
-        seen((0.05, 0, 0), 20, 1), seen((0.05, 0, 0), degrees, 1), *views, DIAMETER, SCALE
-    )
-    assert same < 0.1
-    other = misfit(
-        seen((0.05, 0, 0), 20, 1), seen((-0.1, 0.12, 0), degrees, 1), *views, DIAMETER, SCALE
-    )
-    assert other > 8
+    region = seen((0.05, 0, 0), 20, 1)
+    assert misfit(region, seen((0.05, 0, 0), degrees, 1), *views) < 0.1
+    assert misfit(region, seen((-0.1, 0.12, 0), degrees, 1), *views) > 8
     # A region of twice the size means an object at half the distance.
     near = seen((0.05, 0, 0), degrees, 1)
     twice = Roi(near.centre, 2 * near.side, 1.0)
-    assert misfit(seen((0.05, 0, 0), 20, 1), twice, *views, DIAMETER, SCALE) > 2
+    assert misfit(region, twice, *views) > 2
 
 
 def test_a_camera_that_looks_away_fits_nothing():
@@ -76,7 +76,7 @@ def test_a_camera_that_looks_away_fits_nothing():
         behind.image, behind.K, make_transform(np.diag([-1.0, 1, -1]), np.zeros(3)) @ camera(20)
     )
     region = seen((0.0, 0, 0), 20, 1)
-    assert misfit(region, region, behind, flipped, DIAMETER, SCALE) == 16
+    assert misfit(region, region, behind, flipped) == 16
 
 
 def test_sizes_come_from_where_the_rays_meet():

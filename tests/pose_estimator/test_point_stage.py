@@ -11,12 +11,13 @@ from torch import nn
 from torch.nn import functional as F
 from two_view_pose.pose_estimator import point_stage
 from two_view_pose.pose_estimator.crops import CropPack
-from two_view_pose.pose_estimator.dataset import TargetSample, TrainingSet
+from two_view_pose.pose_estimator.dataset import TrainingSet
 from two_view_pose.pose_estimator.features import FeatureConfig, Features2D
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, crop_matrix, make_transform, project
 from two_view_pose.pose_estimator.networks import PoseNetworks
 from two_view_pose.pose_estimator.point_stage import PointStage, noisy, vote_losses
 from two_view_pose.pose_estimator.point_voting import PointConfig, PointVotes, PointVotingNet
+from two_view_pose.pose_estimator.target_sample import TargetSample
 
 SIDE = 128
 
