@@ -55,7 +55,8 @@ class TrainAgentConfig:
     """What estimates the pose: `mid`, `single`, or a .safetensors file of your own for `mid`; None
     renders only, and every pose is zero."""
     n_envs: int | None = None
-    """Environments side by side, a process each; by default n_envs of the hyper-parameters."""
+    """Environments side by side, which are asked for estimates together; by default n_envs of the
+    hyper-parameters."""
     seed: int = 0
     """Seed; same seed, same weights."""
     checkpoint_every: int = 1000

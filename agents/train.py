@@ -21,6 +21,7 @@ from .candidates import take_predictor
 from .checkpoint import AgentHeader, describe_space, read_agent, write_agent
 from .config import BOX_ENV, DISCRETE_ENV, TrainAgentConfig
 from .hyperparameters import ALGORITHMS, GREEDY, algorithm_kwargs, load_hyperparameters
+from .lanes import has_lanes, make_lanes
 from .training_state import counters, restart, restore_state, state_tensors
 from .validation import (
     POLICY,
@@ -62,12 +63,8 @@ def train_agent(config: TrainAgentConfig) -> Path:
         raise ValueError(f"n_timesteps and n_envs must be at least 1, got {steps} and {n_envs}")
     arguments, replay = config.environment_arguments, config.bank is not None
     learning, validating = split_bank(config) if replay else ({}, {})
-    venv = make_vec_env(
-        functools.partial(make_env, config.env_id, arguments | learning),
-        n_envs=n_envs,
-        seed=config.seed,
-        vec_env_cls=DummyVecEnv if n_envs == 1 or replay else SubprocVecEnv,
-    )
+    venv = _environments(config.env_id, arguments | learning, n_envs, replay)
+    venv.seed(config.seed)
     try:
         header = _header(config, entry, venv)
         model = _make_model(config, entry, venv)
@@ -128,6 +125,17 @@ def save_agent(model: BaseAlgorithm, header: AgentHeader, out: Path, policy: boo
     if policy:
         save_policy(model, header, out)
     write_agent(out / CHECKPOINT, replace(header, counters=counters(model)), state_tensors(model))
+
+
+def _environments(env_id: str, arguments: dict[str, Any], n_envs: int, replay: bool) -> VecEnv:
+    """One, lanes that share an estimator where there is such a thing, or a process each."""
+    if n_envs > 1 and not replay and has_lanes(env_id):
+        return make_lanes(env_id, n_envs, arguments)
+    return make_vec_env(
+        functools.partial(make_env, env_id, arguments),
+        n_envs=n_envs,
+        vec_env_cls=DummyVecEnv if n_envs == 1 or replay else SubprocVecEnv,
+    )
 
 
 def _make_model(config: TrainAgentConfig, entry: dict[str, Any], venv: VecEnv) -> BaseAlgorithm:

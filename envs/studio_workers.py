@@ -13,14 +13,16 @@ import signal
 import traceback
 from collections import deque
 from collections.abc import Sequence
+from contextlib import nullcontext, suppress
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 from multiprocessing.sharedctypes import RawArray
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .studio import LocalStudio, SceneOrder, Setup, StudioConfig
-from .worker_pool import leave_with_parent, quiet_threads
+from .worker_pool import leave_with_parent, quiet_threads, without_script
 
 _SLOTS = 4
 """Pictures of one lane that are kept: two of an episode, and those of the next."""
@@ -59,14 +61,19 @@ class StudioWorkers:
         self._unanswered = [0] * min(workers, lanes)
         added = quiet_threads()
         os.environ.update(added)  # the workers inherit it
+        pickled = ForkingPickler.dumps(config)
+        own_classes = b"__main__" in bytes(pickled)  # of the caller's script
         try:
             for _ in range(min(workers, lanes)):
                 ours, theirs = spawn.Pipe()
-                process = spawn.Process(
-                    target=_work, args=(config, memory, shape, theirs), daemon=True
-                )
-                process.start()
+                process = spawn.Process(target=_work, args=(memory, shape, theirs), daemon=True)
+                with nullcontext() if own_classes else without_script():
+                    process.start()
                 theirs.close()
+                # Not among the arguments: Python waits for ever if a process dies before it has
+                # read many of them.
+                with suppress(OSError):  # the first order says so
+                    ours.send_bytes(pickled)
                 self._pipes.append(ours)
                 self._processes.append(process)
         finally:
@@ -126,8 +133,9 @@ class StudioWorkers:
         process = self._processes[lane % len(self._processes)]
         process.join(1)
         return ChildProcessError(
-            f"the process that renders lane {lane} ended with code {process.exitcode}. Often "
-            "memory is why: try fewer workers, or workers=0, which renders in this process"
+            f"the process that renders lane {lane} ended with code {process.exitcode}. If it says "
+            "nothing above, memory is often why: try fewer workers, or workers=0, which renders in "
+            "this process"
         )
 
 
@@ -196,14 +204,15 @@ class RemoteStudio:
         self._ordered.append(slot)
 
 
-def _work(config: StudioConfig, memory: Any, shape: Sequence[int], pipe: Connection) -> None:
-    """In a worker: carries out orders until there will be no more."""
+def _work(memory: Any, shape: Sequence[int], pipe: Connection) -> None:
+    """In a worker: is told of the studios, and carries out orders until there will be no more."""
     import cv2
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it and ends its workers
     leave_with_parent()
     cv2.setNumThreads(1)
     pictures = np.frombuffer(memory, np.uint8).reshape(shape)
+    config: StudioConfig = pipe.recv()
     studios: dict[int, LocalStudio] = {}
     while True:
         try:

@@ -14,10 +14,12 @@ import os
 import signal
 import sys
 import threading
+import types
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import Protocol
 
 
@@ -151,6 +153,21 @@ def _start_child(config: MakerConfig) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it and ends its workers
     leave_with_parent()
     start_worker(config)
+
+
+@contextmanager
+def without_script() -> Iterator[None]:
+    """Processes that start in here do not run the caller's script anew, as spawned ones do.
+
+    So the script need not say ``if __name__ == "__main__"``; but nothing that it defines may go to
+    them.
+    """
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = types.ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
 
 
 def leave_with_parent() -> None:

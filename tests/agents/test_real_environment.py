@@ -45,6 +45,7 @@ class Guess:
     ("algo", "env_id", "arguments"),
     [
         ("ppo", "TwoViewPose-v0", "n_steps: 8\n    batch_size: 8"),
+        ("ppo", "TwoViewPose-v0", "n_envs: 2\n    n_steps: 4\n    batch_size: 8"),
         ("dqn", "TwoViewPoseDiscrete-v0", "learning_starts: 4\n    buffer_size: 16"),
     ],
 )

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 
 import gymnasium as gym
 import numpy as np
@@ -209,3 +211,28 @@ def test_gymnasium_makes_it_by_name(objects):
     env.reset(seed=0)
     assert env.step(np.array([1, 2]))[2].all()
     env.close()
+
+
+SCRIPT = """
+import gymnasium as gym
+from two_view_pose.envs.scene import SceneConfig
+class Own(SceneConfig):
+    pass
+envs = gym.make_vec("two_view_pose:TwoViewPose-v0", num_envs=2, estimator=None,
+                    resolution=(36, 48), image_size=36, objects=("duck",), scene={scene})
+envs.reset(seed=0)
+envs.close()
+"""
+
+
+@pytest.mark.parametrize(("scene", "works"), [("SceneConfig()", True), ("Own()", False)])
+def test_a_script_without_a_guard(scene, works, tmp_path):
+    """Workers do not run it anew; where they must, for a class of its own, that is said."""
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(scene=scene))
+    command = [sys.executable, os.fspath(script)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    assert (done.returncode == 0) == works, done.stderr
+    if not works:
+        assert "if __name__ == '__main__'" in done.stderr
+        assert "ChildProcessError: the process that renders lane 0 ended" in done.stderr

@@ -1,0 +1,119 @@
+"""Lanes for Stable-Baselines3 against its own vector environment of single ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv
+from two_view_pose.agents.lanes import LanesVecEnv, has_lanes, make_lanes
+
+SMALL = {"objects": ("duck", "cat"), "estimator": None, "resolution": (120, 160), "image_size": 36}
+
+
+@pytest.fixture
+def make() -> Iterator[Callable[..., LanesVecEnv]]:
+    made = []
+
+    def build(env_id: str = "TwoViewPose-v0", lanes: int = 2, **kwargs: Any) -> LanesVecEnv:
+        vector = gym.make_vec(env_id, num_envs=lanes, **{"workers": 0, **SMALL, **kwargs})
+        made.append(LanesVecEnv(vector))
+        return made[-1]
+
+    yield build
+    for env in made:
+        env.close()
+
+
+def check_equal(one: Any, other: Any) -> None:
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key in one:
+            check_equal(one[key], other[key])
+    elif isinstance(one, list):
+        for a, b in zip(one, other, strict=True):
+            check_equal(a, b)
+    else:
+        assert getattr(one, "dtype", None) == getattr(other, "dtype", None) or np.ndim(one) == 0
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("env_id", ["TwoViewPose-v0", "TwoViewPoseDiscrete-v0"])
+def test_lanes_are_single_environments_in_turn(
+    env_id: str, make: Callable[..., LanesVecEnv]
+) -> None:
+    ours = make(env_id)
+    theirs = DummyVecEnv([lambda: gym.make(env_id, **SMALL)] * 2)
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
+    options = {"object": "cat"}
+    for env in (ours, theirs):
+        env.seed(5)
+        env.set_options(options)
+    check_equal(ours.reset(), theirs.reset())
+    check_equal(ours.reset_infos, theirs.reset_infos)
+    assert {info["object"] for info in ours.reset_infos} == {"cat"}
+    ours.action_space.seed(0)
+    for _ in range(3):
+        actions = np.array([ours.action_space.sample() for _ in range(2)])
+        for one, other in zip(ours.step(actions), theirs.step(actions), strict=True):
+            check_equal(one, other)
+        check_equal(ours.reset_infos, theirs.reset_infos)
+    check_equal(ours.reset(), theirs.reset())  # seeds and options counted once
+    theirs.close()
+
+
+def test_attributes_and_methods_of_chosen_lanes(make: Callable[..., LanesVecEnv]) -> None:
+    env = make(lanes=3, render_mode="rgb_array")
+    env.seed(0)
+    env.reset()
+    names = env.get_attr("object_name")
+    assert len(names) == 3 and env.get_attr("object_name", 1) == names[1:2]
+    env.set_attr("note", "seen", [0, 2])
+    assert env.get_attr("note", [0, 2]) == ["seen"] * 2 and not env.has_attr("note")
+    assert [p.shape for p in env.env_method("figure", indices=[2])] == [(664, 1360, 3)]
+    assert env.env_is_wrapped(Monitor) == [False] * 3
+    picture = env.render()
+    assert picture is not None and picture.shape == (2 * 664, 2 * 1360, 3)
+
+
+def test_lanes_share_their_options(make: Callable[..., LanesVecEnv]) -> None:
+    env = make()
+    env.set_options([{"object": "duck"}, {"object": "cat"}])
+    with pytest.raises(ValueError, match="options must be the same"):
+        env.reset()
+
+
+def test_environments_that_reset_a_step_late_are_refused() -> None:
+    vector = gym.make_vec("CartPole-v1", num_envs=2, vectorization_mode="sync")
+    with pytest.raises(ValueError, match="autoreset_mode"):
+        LanesVecEnv(vector)
+    vector.close()
+
+
+def test_a_vector_environment_without_single_ones_is_refused() -> None:
+    vector = gym.make_vec("CartPole-v1", num_envs=2, vectorization_mode="vector_entry_point")
+    vector.metadata = {**vector.metadata, "autoreset_mode": gym.vector.AutoresetMode.SAME_STEP}
+    with pytest.raises(ValueError, match="envs"):
+        LanesVecEnv(vector)
+    vector.close()
+
+
+def test_which_environments_have_lanes() -> None:
+    assert has_lanes("TwoViewPose-v0") and has_lanes("two_view_pose:TwoViewPoseDiscrete-v0")
+    assert not has_lanes("TwoViewPoseSequential-v0") and not has_lanes("CartPole-v1")
+
+
+def test_episodes_are_counted_for_the_trainer() -> None:
+    env = make_lanes("TwoViewPose-v0", 2, {"workers": 0, **SMALL})
+    env.seed(0)
+    env.reset()
+    _, rewards, done, infos = env.step(np.zeros((2, 3), np.float32))
+    assert done.all()
+    assert [info["episode"]["l"] for info in infos] == [1, 1]
+    assert [info["episode"]["r"] for info in infos] == pytest.approx(rewards.tolist(), abs=1e-6)
+    env.close()
