@@ -43,6 +43,8 @@ class DemoConfig:
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise ValueError(f"seed must be at least 0, got {self.seed}")
+        if self.policy == "stay":
+            raise ValueError("policy stay takes no second view, and that is what demo is about")
 
 
 def demo(config: DemoConfig) -> None:

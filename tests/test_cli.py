@@ -302,6 +302,12 @@ def test_doctor_says_what_to_do(monkeypatch, capsys):
     assert "FAILS  OpenGL: MUJOCO_GL=off switches rendering off; unset it" in printed
 
 
+def test_demo_wants_a_second_view(capsys):
+    with pytest.raises(SystemExit):
+        main(["demo", "--policy", "stay"])
+    assert "stay takes no second view" in capsys.readouterr().err
+
+
 class Improving(KnownPose):
     """A pose that lies 40 mm deeper when it is from one view than when it is from two."""
 

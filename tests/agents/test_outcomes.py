@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from two_view_pose.agents.outcomes import Outcome, gap_closed, make_records, short
+from two_view_pose.agents.outcomes import (
+    Outcome,
+    gap_closed,
+    make_records,
+    print_table,
+    short,
+)
 
 
 def outcomes(errors: list[float], visibility: float = 0.5) -> list[Outcome]:
@@ -86,3 +92,18 @@ def test_large_errors_are_capped() -> None:
 def test_files_are_called_by_their_folders() -> None:
     assert short("runs/ppo-1/policy.safetensors") == "ppo-1"
     assert short("max-baseline") == "max-baseline"
+
+
+@pytest.mark.parametrize("names", [("max-baseline", "oracle"), ("random", "runs/ppo/policy")])
+def test_a_policy_is_a_line_of_80_columns(
+    names: tuple[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    views = 1 if "oracle" in names else 3
+    errors = np.linspace(0.0, 1.0, 1000)
+    rows = [Outcome("cat", e, 1.2, 0.5, views=views, scene=i) for i, e in enumerate(errors)]
+    print_table(dict.fromkeys(names, rows), "scenes")
+    table = [line for line in capsys.readouterr().out.splitlines() if line.strip()]
+    assert len(table) == 3 + len(names) and max(map(len, table)) <= 80
+    for name, line in zip(names, table[3:], strict=True):
+        assert line.split()[0] == name and "10.0 (8-12) %" in line and "0.500 (0.482-0.518)" in line
