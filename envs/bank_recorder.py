@@ -35,7 +35,7 @@ class BankRecorder:
         observation, info = env.reset(seed=episode_seed(self._config.seed, scene_id))
         estimate = env.estimate
         assert estimate is not None
-        outcomes = [self._outcome(a, observation) for a in range(len(CANDIDATE_VIEWS))]
+        outcomes = self._outcomes(observation)
         arrays = one_scene(observation, estimate, [outcome[:4] for outcome in outcomes])
         diameter, truth = info["diameter"], info["ground_truth"]
         cameras = arrays["second_T_cam_world"][0]
@@ -52,20 +52,30 @@ class BankRecorder:
         }
         write_part(part_path(self._config, scene_id), arrays)
 
-    def _outcome(
-        self, action: int, first: Observation
-    ) -> tuple[Observation, np.ndarray, np.ndarray, float, float]:
-        """Observation, camera, estimate, travel and ADD(-S) over the diameter of a second view."""
-        env = self._env
+    def _outcomes(
+        self, first: Observation
+    ) -> list[tuple[Observation, np.ndarray, np.ndarray, float, float]]:
+        """Of each second view: observation, camera, estimate, travel, ADD(-S) over the diameter."""
+        env, actions = self._env, range(len(CANDIDATE_VIEWS))
         if self._config.answers:
-            observation, _, _, _, info = env.peek(action)
-            error = info["ground_truth"]["add_second"] / info["diameter"]
-            return observation, info["T_cam_world"], info["T_cam_obj"], info["travel"], error
-        T_cam_world = env.camera_pose(action)
-        travel = camera_centre(T_cam_world) - camera_centre(env.T_cam_world)
+            return [
+                (
+                    observation,
+                    info["T_cam_world"],
+                    info["T_cam_obj"],
+                    info["travel"],
+                    info["ground_truth"]["add_second"] / info["diameter"],
+                )
+                for observation, _, _, _, info in env.peek_all(actions)
+            ]
         assert env.estimate is not None
-        T_cam_obj = env.estimate.T_cam_obj
-        return first, T_cam_world, T_cam_obj, float(np.linalg.norm(travel)), float("nan")
+        T_cam_obj, outcomes = env.estimate.T_cam_obj, []
+        for action in actions:
+            T_cam_world = env.camera_pose(action)
+            travel = camera_centre(T_cam_world) - camera_centre(env.T_cam_world)
+            distance = float(np.linalg.norm(travel))
+            outcomes.append((first, T_cam_world, T_cam_obj, distance, float("nan")))
+        return outcomes
 
 
 def one_scene(

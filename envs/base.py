@@ -6,7 +6,8 @@ The environments in ``two_view_pose.py`` differ from this only in what an action
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from .episode import Episode
 from .episode_figure import episode_figure
 from .observation import Observation, SpherePosition, make_observation, observation_space
 from .options import ResetOptions
-from .protocol import PoseEstimator, check_known_objects, resolve_estimator
+from .protocol import PoseEstimator, check_known_objects, estimate_all, resolve_estimator
 from .randomization import Randomization
 from .scene import SceneConfig
 from .studio import (
@@ -42,6 +43,9 @@ WORKSPACE_LOW, WORKSPACE_HIGH = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5,
 """Where on the table the object can be at all (world, metres); bounds the view sphere's centre."""
 
 IMAGE_SIZES = (36, 256)
+
+_PEEKED_TOGETHER = 8
+"""Second views that are estimated together; more are no quicker."""
 
 
 class ViewSelectionEnv(gym.Env[Observation, Any]):
@@ -272,20 +276,45 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
     def peek(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """What ``step(action)`` would return now; the episode stays as it is.
 
+        Raises:
+            ValueError: as :meth:`step`.
+            ResetNeeded: as :meth:`step`.
+        """
+        with self._as_it_is() as before:
+            self._episode = before.copy()
+            return self.step(action)
+
+    def peek_all(
+        self, actions: Sequence[Any]
+    ) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
+        """What :meth:`peek` returns for each action; the estimator is asked for several at once.
+
         For recording many second views of one scene, and for the policy that knows the answer.
 
         Raises:
             ValueError: as :meth:`step`.
             ResetNeeded: as :meth:`step`.
         """
-        before = self._running()
-        self._episode = before.copy()
-        mode, self.render_mode = self.render_mode, None
-        try:
-            return self.step(action)
-        finally:
-            self._episode, self.render_mode = before, mode
-            self._carrier.place(before.cameras[-1])
+        with self._as_it_is() as before:
+            answers = []
+            for start in range(0, len(actions), _PEEKED_TOGETHER):
+                ways = [before.copy() for _ in actions[start : start + _PEEKED_TOGETHER]]
+                for way, action in zip(ways, actions[start:], strict=False):
+                    self._episode = way
+                    self._carrier.place(before.cameras[-1])
+                    T_cam_world = self.move(action)
+                    self.see(T_cam_world, self._studio.shoot(T_cam_world, len(way.views)))
+                if self._estimator is not None:
+                    requests = [(tuple(way.views), way.object_name) for way in ways]
+                    for way, estimate in zip(
+                        ways, estimate_all(self._estimator, requests), strict=True
+                    ):
+                        self._episode = way
+                        self.learn(estimate)
+                for way in ways:
+                    self._episode = way
+                    answers.append(self.outcome())
+            return answers
 
     def visibility_from(self, T_cam_world: np.ndarray) -> float:
         """Visible fraction of the target from a camera (4, 4): ground truth, for recording."""
@@ -321,6 +350,17 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         self._studio.close()
         self._window.close()
 
+    @contextmanager
+    def _as_it_is(self) -> Iterator[Episode]:
+        """Afterwards the episode is what it was before, whatever was done to it."""
+        before, mode = self._running(), self.render_mode
+        self.render_mode = None
+        try:
+            yield before
+        finally:
+            self._episode, self.render_mode = before, mode
+            self._carrier.place(before.cameras[-1])
+
     def _running(self) -> Episode:
         if self._episode is None:
             raise ResetNeeded("there is no episode yet: call reset() first")
@@ -354,24 +394,5 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
 
     def _info(self) -> dict[str, Any]:
         episode = self._running()
-        model = self._objects[episode.object_name]
-        estimate: PoseEstimate | None = episode.estimates[-1] if episode.estimates else None
-        truth: dict[str, Any] = {
-            "T_cam_obj": episode.T_cam_obj_true(0),
-            "visibility": episode.visibility,
-        }
-        if episode.errors:
-            truth["add_first"] = episode.errors[0]
-            truth["success"] = bool(episode.errors[-1] < 0.1 * model.diameter)
-        if len(episode.errors) > 1:
-            truth["add_second"] = episode.errors[-1]
-        return {
-            "object": episode.object_name,
-            "diameter": float(model.diameter),
-            "scene_seed": episode.scene_seed,
-            "T_cam_world": episode.cameras[-1].copy(),
-            "T_cam_obj": np.zeros((4, 4)) if estimate is None else estimate.T_cam_obj.copy(),
-            "travel": episode.travel,
-            "baseline_deg": episode.baseline_deg(self.sphere_centre),
-            "ground_truth": truth,
-        }
+        diameter = float(self._objects[episode.object_name].diameter)
+        return episode.info(diameter, self.sphere_centre)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -58,6 +59,34 @@ class Episode:
     def T_cam_obj_true(self, index: int) -> np.ndarray:
         """The true pose in the camera of a view, (4, 4), a new array."""
         return self.cameras[index] @ self.T_world_obj
+
+    def info(self, diameter: float, centre: np.ndarray) -> dict[str, Any]:
+        """What the environment says of the episode beside its observation.
+
+        Args:
+            diameter: of the target, metres.
+            centre: of the view sphere, (3,), world.
+        """
+        estimate = self.estimates[-1] if self.estimates else None
+        truth: dict[str, Any] = {
+            "T_cam_obj": self.T_cam_obj_true(0),
+            "visibility": self.visibility,
+        }
+        if self.errors:
+            truth["add_first"] = self.errors[0]
+            truth["success"] = bool(self.errors[-1] < 0.1 * diameter)
+        if len(self.errors) > 1:
+            truth["add_second"] = self.errors[-1]
+        return {
+            "object": self.object_name,
+            "diameter": diameter,
+            "scene_seed": self.scene_seed,
+            "T_cam_world": self.cameras[-1].copy(),
+            "T_cam_obj": np.zeros((4, 4)) if estimate is None else estimate.T_cam_obj.copy(),
+            "travel": self.travel,
+            "baseline_deg": self.baseline_deg(centre),
+            "ground_truth": truth,
+        }
 
     def baseline_deg(self, centre: np.ndarray) -> float:
         """Angle at ``centre`` (3,) between the directions to the first and the newest camera."""

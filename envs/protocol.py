@@ -17,8 +17,9 @@ class PoseEstimator(Protocol):
 
     A caller's own estimator needs ``estimate`` only. If it also has ``object_names``, the
     environment refuses objects that are not among them. If it has ``estimate_batch(requests)``,
-    which takes a list of (views, object name) and returns what ``estimate`` answers to each, vector
-    environments ask it once for many lanes; and from two threads if its ``thread_safe`` is true.
+    which takes a list of (views, object name) and returns what ``estimate`` answers to each, it is
+    asked once for many pairs of views; and by vector environments from two threads if its
+    ``thread_safe`` is true.
     """
 
     def estimate(self, views: Sequence[View], object_name: str) -> PoseEstimate:
@@ -33,6 +34,16 @@ class PoseEstimator(Protocol):
             A pose, always: a poor one rather than none.
         """
         ...
+
+
+def estimate_all(
+    estimator: PoseEstimator, requests: Sequence[tuple[Sequence[View], str]]
+) -> list[PoseEstimate]:
+    """The answer to each of several (views, object name): all at once if the estimator can."""
+    batch = getattr(estimator, "estimate_batch", None)
+    if batch is not None:
+        return list(batch(list(requests)))
+    return [estimator.estimate(views, name) for views, name in requests]
 
 
 @cache

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -211,6 +211,12 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         outcome = self.step(action)
         self._ended = False
         return outcome
+
+    def peek_all(
+        self, actions: Sequence[Any]
+    ) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
+        """What :meth:`peek` returns for each action."""
+        return [self.peek(action) for action in actions]
 
     def _shown(self, observation: Observation) -> Observation:
         if self._mirrored:

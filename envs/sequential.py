@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -135,6 +136,12 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
             return super().peek(action)
         finally:
             self._taken = taken
+
+    def peek_all(
+        self, actions: Sequence[Any]
+    ) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
+        """What :meth:`peek` returns for each action."""
+        return [self.peek(action) for action in actions]
 
     def _observation(self) -> Observation:
         taken = np.zeros(len(self._candidates), np.float32)

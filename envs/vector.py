@@ -18,7 +18,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array,
 from ..pose_estimator.cores import available_cores
 from ..pose_estimator.estimate import PoseEstimate
 from .base import ViewSelectionEnv
-from .protocol import PoseEstimator, resolve_estimator
+from .protocol import PoseEstimator, estimate_all, resolve_estimator
 from .studio import LocalStudio, SceneOrder, StudioConfig
 from .studio_workers import RemoteStudio, StudioWorkers
 from .two_view_pose import TwoViewPoseDiscreteEnv, TwoViewPoseEnv
@@ -232,21 +232,13 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
         requests = [(self.envs[lane].views, self.envs[lane].object_name) for lane in lanes]
         if self._estimator is None:
             return None
-        return self._pool.submit(_estimates, self._estimator, requests)
+        return self._pool.submit(estimate_all, self._estimator, requests)
 
     def _learn(self, lanes: Sequence[int], estimates: _Estimates) -> None:
         """Waits for the poses of some lanes."""
         if estimates is not None:
             for lane, estimate in zip(lanes, estimates.result(), strict=True):
                 self.envs[lane].learn(estimate)
-
-
-def _estimates(estimator: PoseEstimator, requests: list[Any]) -> list[PoseEstimate]:
-    """All answers at once if the estimator can, else one after the other."""
-    batch = getattr(estimator, "estimate_batch", None)
-    if batch is not None:
-        return batch(requests)
-    return [estimator.estimate(views, name) for views, name in requests]
 
 
 def _thread_pool(threads: int) -> ThreadPoolExecutor:

@@ -42,6 +42,20 @@ class TableEstimator(ConstantEstimator):
         return super().estimate(views, object_name)
 
 
+class BatchedEstimator(TableEstimator):
+    """Takes several at once, and remembers how many views each request had."""
+
+    thread_safe = True
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.batches: list[tuple[int, ...]] = []
+
+    def estimate_batch(self, requests: Sequence[tuple[Sequence[View], str]]) -> list[PoseEstimate]:
+        self.batches.append(tuple(len(views) for views, _ in requests))
+        return [TableEstimator().estimate(views, name) for views, name in requests]
+
+
 class PickyEstimator(ConstantEstimator):
     """Knows two objects only."""
 

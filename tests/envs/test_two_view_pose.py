@@ -8,7 +8,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from estimators import ConstantEstimator, TableEstimator, pose, relative
+from estimators import (
+    BatchedEstimator,
+    ConstantEstimator,
+    TableEstimator,
+    pose,
+    relative,
+)
 from two_view_pose.envs.carrier import PoseNoise, camera_centre
 from two_view_pose.envs.observation import SURROUNDINGS
 from two_view_pose.envs.two_view_pose import CANDIDATE_VIEWS, TwoViewPoseDiscreteEnv
@@ -223,6 +229,25 @@ def test_pose_noise_reaches_the_estimator_only(make):
     error = told[1] @ invert(told[0])
     angle = np.rad2deg(np.arccos((np.trace(error[:3, :3]) - 1) / 2))
     assert 0.1 < angle < 12 and 1e-4 < np.linalg.norm(error[:3, 3]) < 0.06
+
+
+@pytest.mark.parametrize("batched", [True, False])
+def test_peeking_at_many_views_is_stepping_to_each(make, batched):
+    estimator = BatchedEstimator() if batched else TableEstimator()
+    env = make(TwoViewPoseDiscreteEnv, estimator=estimator, pose_noise=(0.5, 0.003))
+    env.reset(seed=6)
+    assert env.peek_all([]) == []
+    peeked = env.peek_all(range(12))
+    if batched:
+        assert estimator.batches == [(2,) * 8, (2,) * 4]
+    assert len(env.views) == 1  # the episode is as it was
+    for action, (observation, reward, *ends, info) in enumerate(peeked):
+        once = env.peek(action)
+        stepped = env.step(action)
+        env.reset(seed=6)
+        for other in (once, stepped):
+            assert same(observation, other[0]) and same(info, other[4])
+            assert [reward, *ends] == list(other[1:4])
 
 
 def test_candidate_views(make):

@@ -8,26 +8,12 @@ import sys
 import gymnasium as gym
 import numpy as np
 import pytest
-from estimators import ConstantEstimator, TableEstimator
+from estimators import BatchedEstimator, ConstantEstimator, TableEstimator
 from two_view_pose.envs.sequential import TwoViewPoseSequentialEnv
 from two_view_pose.envs.two_view_pose import TwoViewPoseDiscreteEnv, TwoViewPoseEnv
 from two_view_pose.envs.vector import TwoViewPoseVectorEnv
 
 LANES = 3
-
-
-class Batched(TableEstimator):
-    """Takes several at once, and remembers how many."""
-
-    thread_safe = True
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.batches: list[tuple[int, ...]] = []
-
-    def estimate_batch(self, requests):
-        self.batches.append(tuple(len(views) for views, _ in requests))
-        return [TableEstimator().estimate(views, name) for views, name in requests]
 
 
 @pytest.fixture
@@ -65,7 +51,7 @@ def lane_of(infos, lane):
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_every_lane_is_a_single_environment(make_vector, make, workers):
-    estimator = Batched()
+    estimator = BatchedEstimator()
     options = {"scene": "clutter", "pose_noise": (0.5, 0.003), "image_size": 40}
     vector = make_vector(workers=workers, estimator=estimator, **options)
     rng = np.random.default_rng(0)
