@@ -87,7 +87,7 @@ def bench(config: BenchConfig) -> None:
     os.environ.setdefault("MUJOCO_GL", "egl")
     from rich.console import Console
 
-    from ..pose_estimator.results import write_results
+    from ..pose_estimator.results import write_atomically, write_results
     from ..pose_estimator.stopwatch import Missing, in_own_process
     from .bench_table import markdown, table
 
@@ -104,17 +104,17 @@ def bench(config: BenchConfig) -> None:
         lines += measure_memory(config.soak, config.seed)
     records = [line for line in lines if isinstance(line, dict)]
     console.print(table(records))
-    if config.markdown is not None:
-        config.markdown.write_text(markdown(records))
     for line in lines:
         if isinstance(line, Missing):
             console.print(str(line), markup=False, highlight=False)
+    if config.json is not None:
+        write_results(config.json, records, command="bench", seed=config.seed)
+    if config.markdown is not None:
+        write_atomically(config.markdown, markdown(records).encode())
     if config.figure is not None:
         from .bench_cost import draw_costs
 
         draw_costs(config.figure, records)
-    if config.json is not None:
-        write_results(config.json, records, command="bench", seed=config.seed)
 
 
 def run_group(group: str, config: BenchConfig) -> list[Record | Missing]:

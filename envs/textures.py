@@ -1,10 +1,13 @@
 """Procedural textures: what tables, walls and plain shapes are covered with.
 
 Every texture is (size, size, 3) uint8; all but collages and markers tile without a seam. They are
-drawn in place: an episode draws seven, and large arrays that come and go fragment the heap.
+drawn on canvases that are kept: an episode draws seven, and large arrays that come and go fragment
+the heap.
 """
 
 from __future__ import annotations
+
+import threading
 
 import cv2
 import numpy as np
@@ -40,83 +43,104 @@ def procedural_texture(
         return draw_collage(rng, size)
     if pattern == "markers":
         return draw_markers(rng, size)
+    mix = _canvas(size)
     if pattern == "plain":
-        mix = fractal_noise(rng, size, 8)
+        fractal_noise(rng, 8, mix)
         mix *= 0.12
     elif pattern == "noise":
-        mix = fractal_noise(rng, size, int(rng.integers(3, 12)))
+        fractal_noise(rng, int(rng.integers(3, 12)), mix)
     elif pattern == "wood":
-        mix = _wood(rng, size)
+        _draw_wood(rng, mix)
     elif pattern == "checker":
         cells = int(2 * rng.integers(2, 9))
         odd = np.arange(size) * cells // size % 2 == 1
-        mix = fractal_noise(rng, size, 6)
+        fractal_noise(rng, 6, mix)
         mix *= 0.1
         bright = odd[:, None] != odd[None]
         np.add(mix, 0.9, out=mix, where=bright, dtype=np.float64, casting="same_kind")
     elif pattern == "gradient":
         i = np.cos(2 * np.pi * (np.arange(size) / size + rng.uniform()))
-        mix = i[:, None] * rng.uniform(-1, 1) + i[None] * rng.uniform(-1, 1)
-        mix /= 4
-        mix += 0.5
+        down, across = i[:, None] * rng.uniform(-1, 1), i[None] * rng.uniform(-1, 1)
+        for rows, part in zip(np.array_split(mix, 8), np.array_split(down, 8), strict=True):
+            rows[:] = (part + across) / 4 + 0.5
     elif pattern == "speckle":
-        mix = fractal_noise(rng, size, 6)
+        fractal_noise(rng, 6, mix)
         mix *= 0.3
-        mix += rng.random((size, size), dtype=np.float32) > rng.uniform(0.9, 0.99)
+        chance = rng.random(out=_canvas(size, 1), dtype=np.float32)
+        mix += chance > rng.uniform(0.9, 0.99)
     else:
         raise ValueError(f"pattern must be one of {PATTERNS + PRINTED}, got {pattern!r}")
     steps = np.linspace(0.0, 1.0, 256)[:, None]
     low, high = np.asarray(colours)
     ramp = np.clip(255.0 * (low + (high - low) * steps), 0, 255).astype(np.uint8)
     np.clip(mix, 0.0, 1.0, out=mix)
-    levels = cv2.convertScaleAbs(mix.astype(np.float32, copy=False), alpha=255.0)
+    levels = cv2.convertScaleAbs(mix, alpha=255.0)
     return cv2.applyColorMap(levels, ramp[:, None, :])
 
 
-def fractal_noise(rng: np.random.Generator, size: int, cells: int) -> np.ndarray:
-    """Smooth noise in [0, 1] of several octaves, the coarsest of ``cells`` bumps a side.
+def fractal_noise(rng: np.random.Generator, cells: int, out: np.ndarray) -> None:
+    """Draws smooth noise in [0, 1] of several octaves, the coarsest of ``cells`` bumps a side.
 
     Each octave is added at its own resolution and the sum enlarged, which costs little more than
     the last enlargement.
+
+    Args:
+        rng: where it comes from.
+        cells: bumps a side.
+        out: where it is drawn, (size, size) float32.
     """
     total = rng.random((cells, cells), dtype=np.float32)
     weight = 0.6
-    while 2 * total.shape[0] <= size // 2:
-        total = _periodic(total, 2 * total.shape[0], 2 * total.shape[0])
+    while 2 * total.shape[0] <= len(out) // 2:
+        larger = _canvas(2 * total.shape[0])
+        _enlarge(total, larger)
+        total = larger
         total += weight * rng.random(total.shape, dtype=np.float32)
         weight *= 0.6
-    total = _periodic(total, size, size)
-    low, high = float(total.min()), float(total.max())
-    total -= low
-    total /= max(high - low, 1e-6)
-    return total
+    _enlarge(total, out)
+    low, high = float(out.min()), float(out.max())
+    out -= low
+    out /= max(high - low, 1e-6)
 
 
-def _periodic(grid: np.ndarray, height: int, width: int) -> np.ndarray:
+_canvases = threading.local()
+
+
+def _canvas(size: int, number: int = 0) -> np.ndarray:
+    """An array (size, size) float32 of this thread, which the next drawing draws over."""
+    kept = _canvases.__dict__
+    if (size, number) not in kept:
+        kept[size, number] = np.empty((size, size), np.float32)
+    return kept[size, number]
+
+
+def _enlarge(grid: np.ndarray, out: np.ndarray) -> None:
     """Enlarges a grid smoothly so that its opposite edges meet."""
     pad = 2
     wrapped = np.pad(grid, pad, mode="wrap")
+    height, width = out.shape
     scale_y, scale_x = height / grid.shape[0], width / grid.shape[1]
     affine = np.array(
         [[scale_x, 0, (0.5 - pad) * scale_x - 0.5], [0, scale_y, (0.5 - pad) * scale_y - 0.5]]
     )
-    return cv2.warpAffine(wrapped, affine, (width, height), flags=cv2.INTER_CUBIC)
+    cv2.warpAffine(wrapped, affine, (width, height), dst=out, flags=cv2.INTER_CUBIC)
 
 
-def _wood(rng: np.random.Generator, size: int) -> np.ndarray:
+def _draw_wood(rng: np.random.Generator, out: np.ndarray) -> None:
     """Grain along x: stripes of noise, bent a little, with finer fibres."""
-    grain = _periodic(rng.random((4, 4), dtype=np.float32), size, size)
-    grain *= rng.uniform(0.02, 0.12)
-    grain += np.arange(size, dtype=np.float32)[:, None] / size
+    size = len(out)
+    _enlarge(rng.random((4, 4), dtype=np.float32), out)
+    out *= rng.uniform(0.02, 0.12)
+    out += np.arange(size, dtype=np.float32)[:, None] / size
     profile = np.interp(
         np.arange(4 * size) / (4 * size),
         np.linspace(0, 1, 65),
         np.append(values := rng.random(64), values[0]),
     ).astype(np.float32)
-    for rows in np.array_split(grain, 8):
+    for rows in np.array_split(out, 8):
         rows[:] = profile[(rows * 4 * size).astype(np.int64) % (4 * size)]
-    fibres = _periodic(rng.random((size // 4, 8), dtype=np.float32), size, size)
-    grain *= 0.65
+    fibres = _canvas(size, 1)
+    _enlarge(rng.random((size // 4, 8), dtype=np.float32), fibres)
+    out *= 0.65
     fibres *= 0.35
-    grain += fibres
-    return grain
+    out += fibres
