@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -10,7 +11,9 @@ import numpy as np
 import pytest
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
+from two_view_pose.agents.config import TrainAgentConfig
 from two_view_pose.agents.lanes import LanesVecEnv, has_lanes, make_lanes
+from two_view_pose.agents.train import train_agent
 
 SMALL = {"objects": ("duck", "cat"), "estimator": None, "resolution": (120, 160), "image_size": 36}
 
@@ -117,3 +120,31 @@ def test_episodes_are_counted_for_the_trainer() -> None:
     assert [info["episode"]["l"] for info in infos] == [1, 1]
     assert [info["episode"]["r"] for info in infos] == pytest.approx(rewards.tolist(), abs=1e-6)
     env.close()
+
+
+def test_training_in_lanes_goes_on_to_the_same_weights(tmp_path: Path) -> None:
+    yml = tmp_path / "hyperparameters.yml"
+    yml.write_text(
+        "ppo:\n  TwoViewPose-v0:\n    n_envs: 2\n    n_steps: 4\n    batch_size: 8\n"
+        "    policy_kwargs:\n      net_arch: [16]\n"
+        "      features_extractor_kwargs: {cnn_output_dim: 8}\n"
+    )
+
+    def train(out: str, steps: int) -> bytes:
+        kwargs = {name: SMALL[name] for name in ("resolution", "image_size")}
+        config = TrainAgentConfig(
+            algo="ppo",
+            steps=steps,
+            out=tmp_path / out,
+            objects=("duck", "cat"),
+            estimator=None,
+            hyperparameters=yml,
+            checkpoint_every=8,
+            progress=False,
+            env_kwargs=kwargs,
+        )
+        return train_agent(config).read_bytes()
+
+    whole = train("whole", 24)
+    assert train("parts", 8) != whole
+    assert train("parts", 24) == whole
