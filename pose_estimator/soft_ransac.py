@@ -151,7 +151,20 @@ def project_to_rotation(matrices: torch.Tensor) -> torch.Tensor:
     The gradient is that of the polar decomposition itself. Unlike the gradient of the singular
     vectors it is finite at equal singular values, where an average of rotations always is.
     """
-    return _ProjectToRotation.apply(matrices)
+    if torch.is_grad_enabled() and matrices.requires_grad:
+        return _ProjectToRotation.apply(matrices)
+    return _polar(matrices)[0]
+
+
+def _polar(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Rotation R of M = R P, the eigenvalues (..., 3) of P, and its eigenvectors in rows."""
+    u, s, vt = torch.linalg.svd(matrices)
+    turn = u @ vt
+    # Of an orthogonal matrix the sign of the determinant: a third of what torch.linalg.det takes.
+    sign = (torch.linalg.cross(turn[..., 0, :], turn[..., 1, :]) * turn[..., 2, :]).sum(-1).sign()
+    flip = torch.ones_like(s)
+    flip[..., 2] = sign
+    return (u * flip[..., None, :]) @ vt, s * flip, vt
 
 
 class _ProjectToRotation(torch.autograd.Function):
@@ -159,12 +172,8 @@ class _ProjectToRotation(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, matrices: torch.Tensor) -> torch.Tensor:  # type: ignore[override]
-        u, s, vt = torch.linalg.svd(matrices)
-        sign = torch.linalg.det(u @ vt).sign()
-        flip = torch.ones_like(s)
-        flip[..., 2] = sign
-        rotation = (u * flip[..., None, :]) @ vt
-        ctx.save_for_backward(rotation, s * flip, vt)
+        rotation, stretch, vt = _polar(matrices)
+        ctx.save_for_backward(rotation, stretch, vt)
         return rotation
 
     @staticmethod

@@ -40,7 +40,7 @@ def three_point_fits(
     flat = cross.detach().norm(dim=-1) <= _FLATTEST_PREDICTED_TRIANGLE * model.area
     unusable = (flat | model.flat)[..., None]
     # Stand-ins keep the unused branch finite, so that its zero gradient is zero and not NaN.
-    axes = torch.eye(3, dtype=predicted.dtype, device=predicted.device)
+    axes = _axes(predicted.dtype, predicted.device)
     normal = _unit(torch.where(unusable, axes[2], cross))
     # In the plane, with points as complex numbers, the best turn is along sum b conj(a). The a are
     # centred, so the b need not be, and corner 0 may be their origin.
@@ -127,7 +127,7 @@ def _find_triangles(points: torch.Tensor, corners: torch.Tensor) -> _Triangles:
         raise ValueError(
             "model_points lie on one line (or in one point): they do not determine a rotation"
         )
-    axes = torch.eye(3, dtype=points.dtype, device=points.device)
+    axes = _axes(points.dtype, points.device)
     along = _unit(torch.where(flat[..., None], axes[0], edge_a))
     normal = _unit(torch.where(flat[..., None], axes[2], cross))
     frames = along, torch.linalg.cross(normal, along), normal
@@ -162,6 +162,13 @@ def _corner_and_edges(
 
 def _unit(vectors: torch.Tensor) -> torch.Tensor:
     return vectors / vectors.norm(dim=-1, keepdim=True)
+
+
+@lru_cache(maxsize=16)
+def _axes(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    """The unit vectors, (3, 3)."""
+    with torch.inference_mode(False):  # as for _triples
+        return torch.eye(3, dtype=dtype, device=device)
 
 
 @lru_cache(maxsize=16)
