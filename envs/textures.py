@@ -108,10 +108,10 @@ _canvases = threading.local()
 
 def _canvas(size: int, number: int = 0) -> np.ndarray:
     """An array (size, size) float32 of this thread, which the next drawing draws over."""
-    kept = _canvases.__dict__
-    if (size, number) not in kept:
-        kept[size, number] = np.empty((size, size), np.float32)
-    return kept[size, number]
+    name = f"{size}:{number}"
+    if not hasattr(_canvases, name):
+        setattr(_canvases, name, np.empty((size, size), np.float32))
+    return getattr(_canvases, name)
 
 
 def _enlarge(grid: np.ndarray, out: np.ndarray) -> None:
