@@ -171,12 +171,16 @@ def neutral_look(world: World) -> list[int]:
 
 def set_texture(world: World, name: str, image: np.ndarray) -> int:
     """Writes (size, size, 3) uint8 into the texture ``name``; returns its id."""
-    model = world.model
-    texture = world.textures[name]
-    sides = model.tex_height[texture] // image.shape[0]  # a cube: six below each other
+    texture_pixels(world, name).reshape(-1, *image.shape)[:] = image
+    return world.textures[name]
+
+
+def texture_pixels(world: World, name: str) -> np.ndarray:
+    """The texture ``name`` in the model: (size, size, 3) uint8, a cube's six sides in a column."""
+    model, texture = world.model, world.textures[name]
+    shape = model.tex_height[texture], model.tex_width[texture], 3
     start = model.tex_adr[texture]
-    model.tex_data[start : start + sides * image.size].reshape(sides, -1)[:] = image.reshape(-1)
-    return texture
+    return model.tex_data[start : start + np.prod(shape)].reshape(shape)
 
 
 def _set_lights(world: World, config: Randomization, rng: np.random.Generator) -> None:
@@ -238,7 +242,8 @@ def _set_textures(world: World, config: Randomization, rng: np.random.Generator)
         pattern = patterns[rng.integers(len(patterns))]
         wooden = rng.uniform() < (0.7 if pattern == "wood" else 0.15)
         colours = _two_colours(rng, 0.5 if name == "table" else 0.35, wooden)
-        changed.append(set_texture(world, name, procedural_texture(rng, size, pattern, colours)))
+        procedural_texture(rng, size, pattern, colours, texture_pixels(world, name))
+        changed.append(world.textures[name])
         repeat = rng.uniform(*config.texture_repeat) if name == "table" else 2.0
         model.mat_texrepeat[world.materials[name]] = repeat
         model.mat_specular[world.materials[name]] = rng.uniform(0.0, 0.25)

@@ -20,12 +20,16 @@ PATTERNS = ("plain", "noise", "wood", "checker", "gradient", "speckle")
 PRINTED = ("collage", "markers")
 """What lies on it, in colours of its own: posters and magazines, calibration boards."""
 
+_STRIPS = 32
+"""In which what needs double precision is drawn."""
+
 
 def procedural_texture(
     rng: np.random.Generator,
     size: int,
     pattern: str,
     colours: np.ndarray,
+    out: np.ndarray | None = None,
 ) -> np.ndarray:
     """Draws a texture.
 
@@ -35,15 +39,16 @@ def procedural_texture(
         pattern: one of :data:`PATTERNS` or :data:`PRINTED`.
         colours: two colours in [0, 1], (2, 3); the pattern goes from one to the other. Printed
             ones have their own.
+        out: where it is drawn, (size, size, 3) uint8; a new array if None.
 
     Raises:
         ValueError: if the pattern is unknown.
     """
-    if pattern == "collage":
-        return draw_collage(rng, size)
-    if pattern == "markers":
-        return draw_markers(rng, size)
-    mix = _canvas(size)
+    image = np.empty((size, size, 3), np.uint8) if out is None else out
+    if pattern in PRINTED:
+        image[:] = draw_collage(rng, size) if pattern == "collage" else draw_markers(rng, size)
+        return image
+    mix = _canvas((size, size))
     if pattern == "plain":
         fractal_noise(rng, 8, mix)
         mix *= 0.12
@@ -56,26 +61,29 @@ def procedural_texture(
         odd = np.arange(size) * cells // size % 2 == 1
         fractal_noise(rng, 6, mix)
         mix *= 0.1
-        bright = odd[:, None] != odd[None]
+        bright = np.not_equal(odd[:, None], odd[None], out=_canvas((size, size), 0, np.bool_))
         np.add(mix, 0.9, out=mix, where=bright, dtype=np.float64, casting="same_kind")
     elif pattern == "gradient":
         i = np.cos(2 * np.pi * (np.arange(size) / size + rng.uniform()))
         down, across = i[:, None] * rng.uniform(-1, 1), i[None] * rng.uniform(-1, 1)
-        for rows, part in zip(np.array_split(mix, 8), np.array_split(down, 8), strict=True):
+        for rows, part in zip(
+            np.array_split(mix, _STRIPS), np.array_split(down, _STRIPS), strict=True
+        ):
             rows[:] = (part + across) / 4 + 0.5
     elif pattern == "speckle":
         fractal_noise(rng, 6, mix)
         mix *= 0.3
-        chance = rng.random(out=_canvas(size, 1), dtype=np.float32)
-        mix += chance > rng.uniform(0.9, 0.99)
+        chance = rng.random(out=_canvas((size, size), 1), dtype=np.float32)
+        rare = rng.uniform(0.9, 0.99)
+        mix += np.greater(chance, rare, out=_canvas((size, size), 0, np.bool_))
     else:
         raise ValueError(f"pattern must be one of {PATTERNS + PRINTED}, got {pattern!r}")
     steps = np.linspace(0.0, 1.0, 256)[:, None]
     low, high = np.asarray(colours)
     ramp = np.clip(255.0 * (low + (high - low) * steps), 0, 255).astype(np.uint8)
     np.clip(mix, 0.0, 1.0, out=mix)
-    levels = cv2.convertScaleAbs(mix, alpha=255.0)
-    return cv2.applyColorMap(levels, ramp[:, None, :])
+    levels = cv2.convertScaleAbs(mix, dst=_canvas((size, size), 0, np.uint8), alpha=255.0)
+    return cv2.applyColorMap(levels, ramp[:, None, :], dst=image)
 
 
 def fractal_noise(rng: np.random.Generator, cells: int, out: np.ndarray) -> None:
@@ -92,10 +100,11 @@ def fractal_noise(rng: np.random.Generator, cells: int, out: np.ndarray) -> None
     total = rng.random((cells, cells), dtype=np.float32)
     weight = 0.6
     while 2 * total.shape[0] <= len(out) // 2:
-        larger = _canvas(2 * total.shape[0])
-        _enlarge(total, larger)
-        total = larger
-        total += weight * rng.random(total.shape, dtype=np.float32)
+        larger = 2 * total.shape[0], 2 * total.shape[1]
+        total = _enlarge(total, _canvas(larger))
+        finer = rng.random(out=_canvas(larger, 1), dtype=np.float32)
+        finer *= weight
+        total += finer
         weight *= 0.6
     _enlarge(total, out)
     low, high = float(out.min()), float(out.max())
@@ -106,24 +115,29 @@ def fractal_noise(rng: np.random.Generator, cells: int, out: np.ndarray) -> None
 _canvases = threading.local()
 
 
-def _canvas(size: int, number: int = 0) -> np.ndarray:
-    """An array (size, size) float32 of this thread, which the next drawing draws over."""
-    name = f"{size}:{number}"
+def _canvas(shape: tuple[int, int], number: int = 0, dtype: type = np.float32) -> np.ndarray:
+    """An array of this thread, which the next drawing draws over."""
+    name = f"{shape} {number} {dtype.__name__}"
     if not hasattr(_canvases, name):
-        setattr(_canvases, name, np.empty((size, size), np.float32))
+        setattr(_canvases, name, np.empty(shape, dtype))
     return getattr(_canvases, name)
 
 
-def _enlarge(grid: np.ndarray, out: np.ndarray) -> None:
+def _enlarge(grid: np.ndarray, out: np.ndarray) -> np.ndarray:
     """Enlarges a grid smoothly so that its opposite edges meet."""
     pad = 2
-    wrapped = np.pad(grid, pad, mode="wrap")
+    wrapped = cv2.copyMakeBorder(
+        grid,
+        *(pad,) * 4,
+        cv2.BORDER_WRAP,
+        dst=_canvas((grid.shape[0] + 2 * pad, grid.shape[1] + 2 * pad)),
+    )
     height, width = out.shape
     scale_y, scale_x = height / grid.shape[0], width / grid.shape[1]
     affine = np.array(
         [[scale_x, 0, (0.5 - pad) * scale_x - 0.5], [0, scale_y, (0.5 - pad) * scale_y - 0.5]]
     )
-    cv2.warpAffine(wrapped, affine, (width, height), dst=out, flags=cv2.INTER_CUBIC)
+    return cv2.warpAffine(wrapped, affine, (width, height), dst=out, flags=cv2.INTER_CUBIC)
 
 
 def _draw_wood(rng: np.random.Generator, out: np.ndarray) -> None:
@@ -137,10 +151,9 @@ def _draw_wood(rng: np.random.Generator, out: np.ndarray) -> None:
         np.linspace(0, 1, 65),
         np.append(values := rng.random(64), values[0]),
     ).astype(np.float32)
-    for rows in np.array_split(out, 8):
+    for rows in np.array_split(out, _STRIPS):
         rows[:] = profile[(rows * 4 * size).astype(np.int64) % (4 * size)]
-    fibres = _canvas(size, 1)
-    _enlarge(rng.random((size // 4, 8), dtype=np.float32), fibres)
+    fibres = _enlarge(rng.random((size // 4, 8), dtype=np.float32), _canvas((size, size), 1))
     out *= 0.65
     fibres *= 0.35
     out += fibres
