@@ -198,8 +198,8 @@ def test_wrong_calls_are_refused(networks):
         LateFusionEstimator(networks).estimate([view(0)], "teapot")
     with pytest.raises(ValueError, match="at least one view"):
         LateFusionEstimator(networks).estimate([], "brick")
-    with pytest.raises(NotImplementedError, match="does not say how it fuses"):
-        looking(networks, TwoViewEstimator, [view(20), view(70)])
+    with pytest.raises(TypeError, match="fuse"):
+        TwoViewEstimator(networks)
 
 
 @pytest.mark.parametrize("roll", [-2.5, -0.7, 0.0, 0.3, 1.2])
