@@ -280,9 +280,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
             ValueError: as :meth:`step`.
             ResetNeeded: as :meth:`step`.
         """
-        with self._as_it_is() as before:
-            self._episode = before.copy()
-            return self.step(action)
+        return self.peek_all([action])[0]
 
     def peek_all(
         self, actions: Sequence[Any]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 
 from .actions import candidate_view
+from .episode import Episode
 from .observation import Observation
 from .studio import MOST_VIEWS
 from .two_view_pose import TwoViewPoseDiscreteEnv
@@ -129,19 +131,25 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
             self.render()
         return self._observation(), float(reward), episode.ended, False, self._info()
 
-    def peek(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """What ``step(action)`` would return now; the episode stays as it is."""
-        taken = self._taken
-        try:
-            return super().peek(action)
-        finally:
-            self._taken = taken
-
     def peek_all(
         self, actions: Sequence[Any]
     ) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
-        """What :meth:`peek` returns for each action."""
-        return [self.peek(action) for action in actions]
+        """What ``step`` would return now for each action; the episode stays as it is."""
+        answers = []
+        for action in actions:
+            with self._as_it_is() as before:
+                self._episode = before.copy()
+                answers.append(self.step(action))
+        return answers
+
+    @contextmanager
+    def _as_it_is(self) -> Iterator[Episode]:
+        taken = self._taken
+        try:
+            with super()._as_it_is() as before:
+                yield before
+        finally:
+            self._taken = taken
 
     def _observation(self) -> Observation:
         taken = np.zeros(len(self._candidates), np.float32)

@@ -130,7 +130,7 @@ def _enlarge(grid: np.ndarray, out: np.ndarray) -> np.ndarray:
         grid,
         *(pad,) * 4,
         cv2.BORDER_WRAP,
-        dst=_canvas((grid.shape[0] + 2 * pad, grid.shape[1] + 2 * pad)),
+        dst=_canvas((grid.shape[0] + 2 * pad, grid.shape[1] + 2 * pad), 2),  # never grid or out
     )
     height, width = out.shape
     scale_y, scale_x = height / grid.shape[0], width / grid.shape[1]
