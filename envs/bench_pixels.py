@@ -72,21 +72,19 @@ def records(name: str, times: np.ndarray) -> list[Record]:
     """
     size = f"{SIDE}x{SIDE}"
     steps, episodes = times[..., 1], times.sum(axis=2)
+    compared = (
+        ("env.step", "mj_step, picture", steps),
+        ("reset (a new scene) and step", "reset, picture, mj_step, picture", episodes),
+    )
     return [
         make_record(
-            f"pixels, env.step, {size}",
-            f"{name}: mj_step, picture",
-            steps[:, 0].tolist(),
-            steps[:, 1].tolist(),
+            f"pixels, {ours}, {size}",
+            f"{name}: {theirs}",
+            seconds[:, 0].tolist(),
+            seconds[:, 1].tolist(),
             goal=2.0,
-        ),
-        make_record(
-            f"pixels, reset (a new scene) and step, {size}",
-            f"{name}: reset, picture, mj_step, picture",
-            episodes[:, 0].tolist(),
-            episodes[:, 1].tolist(),
-            goal=2.0,
-        ),
+        )
+        for ours, theirs, seconds in compared
     ]
 
 
