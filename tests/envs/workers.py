@@ -8,9 +8,12 @@ import signal
 
 import numpy as np
 from two_view_pose import assets
+from two_view_pose.assets.object_model import ObjectModel
 from two_view_pose.envs.randomization import Randomization
 from two_view_pose.envs.renderer import SceneRenderer
 from two_view_pose.envs.scene import Scene, SceneConfig
+from two_view_pose.envs.two_view_pose import TwoViewPoseEnv
+from two_view_pose.envs.worker_pool import memory_in_use
 
 ALONE = SceneConfig(clutter_objects=(0, 0), plain_shapes=(0, 0))
 
@@ -27,3 +30,18 @@ def die(scene_id: int) -> int:
     """Ends the process as a lack of memory would."""
     os.kill(os.getpid(), signal.SIGKILL)
     return scene_id
+
+
+def memory_of_episodes(objects: dict[str, ObjectModel], episodes: int, every: int) -> list[int]:
+    """Plays episodes of one step; the bytes that the process held after each ``every`` of them."""
+    env = TwoViewPoseEnv(objects=objects, estimator=None, resolution=(120, 160))
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    held = []
+    for episode in range(1, episodes + 1):
+        env.step(env.action_space.sample())
+        env.reset()
+        if episode % every == 0:
+            held.append(memory_in_use())
+    env.close()
+    return held
