@@ -6,8 +6,7 @@ The environments in ``two_view_pose.py`` differ from this only in what an action
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +18,14 @@ from gymnasium.error import ResetNeeded
 from ..assets import load_objects
 from ..assets.object_model import ObjectModel
 from ..pose_estimator.estimate import PoseEstimate
-from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, View, check_rigid, invert
+from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, View, check_rigid
 from ..pose_estimator.metrics import add_or_add_s
 from .carrier import Carrier, FreeFlyingCarrier, PoseNoise
 from .episode import Episode
 from .episode_figure import episode_figure
 from .observation import Observation, SpherePosition, make_observation, observation_space
 from .options import ResetOptions
-from .protocol import PoseEstimator, check_known_objects, estimate_all, resolve_estimator
+from .protocol import PoseEstimator, check_known_objects, resolve_estimator
 from .randomization import Randomization
 from .scene import SceneConfig
 from .studio import (
@@ -39,13 +38,7 @@ from .studio import (
 )
 from .window import Window
 
-WORKSPACE_LOW, WORKSPACE_HIGH = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5, 0.4])
-"""Where on the table the object can be at all (world, metres); bounds the view sphere's centre."""
-
 IMAGE_SIZES = (36, 256)
-
-_PEEKED_TOGETHER = 8
-"""Second views that are estimated together; more are no quicker."""
 
 
 class ViewSelectionEnv(gym.Env[Observation, Any]):
@@ -156,8 +149,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
     @property
     def reference_position(self) -> SpherePosition:
         """The reference camera as seen from the middle of the view sphere."""
-        episode = self._running()
-        return SpherePosition.of(episode.cameras[0], self.sphere_centre)
+        return self._running().position(0)
 
     @property
     def sphere_centre(self) -> np.ndarray:
@@ -166,14 +158,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         It is kept within the part of the table where objects stand. Without an estimator it is
         where the reference camera's optical axis meets the table.
         """
-        episode = self._running()
-        T_world_cam = invert(episode.cameras[0])
-        if episode.estimates:
-            centre = (T_world_cam @ episode.estimates[0].T_cam_obj)[:3, 3]
-        else:
-            origin, axis = T_world_cam[:3, 3], T_world_cam[:3, 2]
-            centre = origin + axis * (origin[2] / max(-axis[2], 1e-3))
-        return np.clip(centre, WORKSPACE_LOW, WORKSPACE_HIGH)
+        return self._running().sphere_centre
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -273,47 +258,6 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
             self.render()
         return self._observation(), self._reward(), True, False, self._info()
 
-    def peek(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """What ``step(action)`` would return now; the episode stays as it is.
-
-        Raises:
-            ValueError: as :meth:`step`.
-            ResetNeeded: as :meth:`step`.
-        """
-        return self.peek_all([action])[0]
-
-    def peek_all(
-        self, actions: Sequence[Any]
-    ) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
-        """What :meth:`peek` returns for each action; the estimator is asked for several at once.
-
-        For recording many second views of one scene, and for the policy that knows the answer.
-
-        Raises:
-            ValueError: as :meth:`step`.
-            ResetNeeded: as :meth:`step`.
-        """
-        with self._as_it_is() as before:
-            answers = []
-            for start in range(0, len(actions), _PEEKED_TOGETHER):
-                ways = [before.copy() for _ in actions[start : start + _PEEKED_TOGETHER]]
-                for way, action in zip(ways, actions[start:], strict=False):
-                    self._episode = way
-                    self._carrier.place(before.cameras[-1])
-                    T_cam_world = self.move(action)
-                    self.see(T_cam_world, self._studio.shoot(T_cam_world, len(way.views)))
-                if self._estimator is not None:
-                    requests = [(tuple(way.views), way.object_name) for way in ways]
-                    for way, estimate in zip(
-                        ways, estimate_all(self._estimator, requests), strict=True
-                    ):
-                        self._episode = way
-                        self.learn(estimate)
-                for way in ways:
-                    self._episode = way
-                    answers.append(self.outcome())
-            return answers
-
     def visibility_from(self, T_cam_world: np.ndarray) -> float:
         """Visible fraction of the target from a camera (4, 4): ground truth, for recording."""
         self._running()
@@ -341,23 +285,12 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
             RGB uint8, (664, 1360, 3).
         """
         episode = self._running()
-        return episode_figure(episode, self._objects[episode.object_name], self.sphere_centre)
+        return episode_figure(episode, self._objects[episode.object_name])
 
     def close(self) -> None:
         """Frees the GL context and the window; may be called again."""
         self._studio.close()
         self._window.close()
-
-    @contextmanager
-    def _as_it_is(self) -> Iterator[Episode]:
-        """Afterwards the episode is what it was before, whatever was done to it."""
-        before, mode = self._running(), self.render_mode
-        self.render_mode = None
-        try:
-            yield before
-        finally:
-            self._episode, self.render_mode = before, mode
-            self._carrier.place(before.cameras[-1])
 
     def _running(self) -> Episode:
         if self._episode is None:
@@ -372,12 +305,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
             self.learn(self._estimator.estimate(tuple(episode.views), episode.object_name))
 
     def _reward(self) -> float:
-        episode = self._running()
-        cost = self._travel_weight * episode.travel
-        if not episode.errors:
-            return -cost
-        diameter = self._objects[episode.object_name].diameter
-        return float(-min(episode.errors[-1] / diameter, 1.0) - cost)
+        return self._running().reward(self._diameter(), self._travel_weight)
 
     def _observation(self) -> Observation:
         episode = self._running()
@@ -385,12 +313,14 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
             self._fields,
             episode.estimates[-1] if episode.estimates else None,
             episode.views[0].image,
-            SpherePosition.of(episode.cameras[-1], self.sphere_centre),
-            self.reference_position.azimuth,
+            episode.position(-1),
+            episode.position(0).azimuth,
             self._names.index(episode.object_name),
         )
 
     def _info(self) -> dict[str, Any]:
-        episode = self._running()
-        diameter = float(self._objects[episode.object_name].diameter)
-        return episode.info(diameter, self.sphere_centre)
+        return self._running().info(self._diameter())
+
+    def _diameter(self) -> float:
+        """Of the target, metres."""
+        return float(self._objects[self._running().object_name].diameter)

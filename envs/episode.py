@@ -9,8 +9,12 @@ from typing import Any
 import numpy as np
 
 from ..pose_estimator.estimate import PoseEstimate
-from ..pose_estimator.geometry import View
+from ..pose_estimator.geometry import View, invert
 from .carrier import angle_at
+from .observation import SpherePosition
+
+WORKSPACE_LOW, WORKSPACE_HIGH = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5, 0.4])
+"""Where on the table the object can be at all (world, metres); bounds the view sphere's centre."""
 
 
 @dataclass(eq=False)
@@ -60,12 +64,45 @@ class Episode:
         """The true pose in the camera of a view, (4, 4), a new array."""
         return self.cameras[index] @ self.T_world_obj
 
-    def info(self, diameter: float, centre: np.ndarray) -> dict[str, Any]:
+    @property
+    def sphere_centre(self) -> np.ndarray:
+        """The middle of the view sphere, (3,), world: where the object is estimated to be.
+
+        It is kept within the part of the table where objects stand. Without an estimate it is
+        where the reference camera's optical axis meets the table.
+        """
+        T_world_cam = invert(self.cameras[0])
+        if self.estimates:
+            centre = (T_world_cam @ self.estimates[0].T_cam_obj)[:3, 3]
+        else:
+            origin, axis = T_world_cam[:3, 3], T_world_cam[:3, 2]
+            centre = origin + axis * (origin[2] / max(-axis[2], 1e-3))
+        return np.clip(centre, WORKSPACE_LOW, WORKSPACE_HIGH)
+
+    def position(self, index: int) -> SpherePosition:
+        """The camera of a view, as seen from the middle of the view sphere."""
+        return SpherePosition.of(self.cameras[index], self.sphere_centre)
+
+    @property
+    def baseline_deg(self) -> float:
+        """Angle at the middle of the view sphere between the first and the newest camera."""
+        return angle_at(self.sphere_centre, self.cameras[0], self.cameras[-1])
+
+    def reward(self, diameter: float, travel_weight: float) -> float:
+        """Minus the newest error in diameters (at most 1), minus the price of the travel.
+
+        Args:
+            diameter: of the target, metres.
+            travel_weight: price of a metre of camera travel.
+        """
+        error = min(self.errors[-1] / diameter, 1.0) if self.errors else 0.0
+        return float(-error - travel_weight * self.travel)
+
+    def info(self, diameter: float) -> dict[str, Any]:
         """What the environment says of the episode beside its observation.
 
         Args:
             diameter: of the target, metres.
-            centre: of the view sphere, (3,), world.
         """
         estimate = self.estimates[-1] if self.estimates else None
         truth: dict[str, Any] = {
@@ -84,13 +121,9 @@ class Episode:
             "T_cam_world": self.cameras[-1].copy(),
             "T_cam_obj": np.zeros((4, 4)) if estimate is None else estimate.T_cam_obj.copy(),
             "travel": self.travel,
-            "baseline_deg": self.baseline_deg(centre),
+            "baseline_deg": self.baseline_deg,
             "ground_truth": truth,
         }
-
-    def baseline_deg(self, centre: np.ndarray) -> float:
-        """Angle at ``centre`` (3,) between the directions to the first and the newest camera."""
-        return angle_at(centre, self.cameras[0], self.cameras[-1])
 
 
 def episode_seed(seed: int, number: int) -> int:

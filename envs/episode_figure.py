@@ -10,30 +10,28 @@ from .episode import Episode
 from .figure import Panel, comparison
 
 
-def episode_figure(episode: Episode, model: ObjectModel, sphere_centre: np.ndarray) -> np.ndarray:
+def episode_figure(episode: Episode, model: ObjectModel) -> np.ndarray:
     """Draws the views of an episode with true and estimated outlines.
 
     Args:
         episode: with one view at least.
         model: of its target.
-        sphere_centre: the middle of the view sphere, (3,), world: baselines are told from there.
 
     Returns:
         RGB uint8, (664, 1360, 3).
     """
     first, newest = 0, len(episode.views) - 1
-    panels = [_panel(episode, i, sphere_centre) for i in dict.fromkeys((first, newest))]
+    panels = [_panel(episode, i) for i in dict.fromkeys((first, newest))]
     subtitle = f"{100 * episode.visibility:.0f} % visible in the reference view"
     return comparison(model, subtitle, panels[0], panels[1] if newest else None)
 
 
-def _panel(episode: Episode, index: int, sphere_centre: np.ndarray) -> Panel:
+def _panel(episode: Episode, index: int) -> Panel:
     estimated = bool(episode.estimates)
     title, note = "Reference view", "pose from this view alone" if estimated else ""
     if index > 0:
-        angle = episode.baseline_deg(sphere_centre)
         title = "Second view"
-        note = f"{angle:.0f}° from the first, camera moved {episode.travel:.2f} m"
+        note = f"{episode.baseline_deg:.0f}° from the first, camera moved {episode.travel:.2f} m"
     view = episode.views[index]
     relative = episode.cameras[index] @ invert(episode.cameras[0])
     return Panel(

@@ -99,21 +99,20 @@ class StudioWorkers:
             ChildProcessError: if the worker is gone.
             Exception: what the order raised.
         """
-        try:
-            answer, error = self._pipe(lane).recv()
-        except (EOFError, OSError):
-            raise self._gone(lane) from None
-        self._unanswered[lane % len(self._pipes)] -= 1
+        answer, error = self._next_answer(lane)
         if error is not None:
             raise error
         return answer
 
     def drain(self) -> None:
-        """Waits for the answers to all orders, and drops them."""
-        for number, count in enumerate(self._unanswered):
+        """Waits for the answers to all orders, and drops them, also what they raised.
+
+        Raises:
+            ChildProcessError: if a worker is gone.
+        """
+        for lane, count in enumerate(list(self._unanswered)):  # the first lane of each worker
             for _ in range(count):
-                self._pipes[number].recv()
-            self._unanswered[number] = 0
+                self._next_answer(lane)
 
     def close(self) -> None:
         """Ends the workers."""
@@ -128,6 +127,14 @@ class StudioWorkers:
 
     def _pipe(self, lane: int) -> Connection:
         return self._pipes[lane % len(self._pipes)]
+
+    def _next_answer(self, lane: int) -> tuple[Any, Exception | None]:
+        try:
+            answer: tuple[Any, Exception | None] = self._pipe(lane).recv()
+        except (EOFError, OSError):
+            raise self._gone(lane) from None
+        self._unanswered[lane % len(self._pipes)] -= 1
+        return answer
 
     def _gone(self, lane: int) -> ChildProcessError:
         process = self._processes[lane % len(self._processes)]

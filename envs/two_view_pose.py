@@ -10,8 +10,8 @@ import numpy as np
 from gymnasium import spaces
 
 from .actions import box_view, candidate_view, check_candidates
-from .base import ViewSelectionEnv
 from .camera import CAMERA_RANGE, view_sphere_pose
+from .peeking import PeekingEnv
 
 CANDIDATE_VIEWS: tuple[tuple[float, float], ...] = tuple(
     product((-90.0, -65.0, -40.0, -15.0, 15.0, 40.0, 65.0, 90.0), (20.0, 45.0, 70.0))
@@ -19,7 +19,7 @@ CANDIDATE_VIEWS: tuple[tuple[float, float], ...] = tuple(
 """The 24 views of TwoViewPoseDiscrete-v0: (azimuth offset, elevation), degrees."""
 
 
-class TwoViewPoseEnv(ViewSelectionEnv):
+class TwoViewPoseEnv(PeekingEnv):
     """Choose the second view that best tells where an object is.
 
     ## Description
@@ -175,7 +175,7 @@ class TwoViewPoseEnv(ViewSelectionEnv):
         )
 
 
-class TwoViewPoseDiscreteEnv(ViewSelectionEnv):
+class TwoViewPoseDiscreteEnv(PeekingEnv):
     """Choose the second view from a list: `TwoViewPose-v0` with `Discrete(24)` actions.
 
     ## Action Space

@@ -136,6 +136,8 @@ def test_a_worker_that_dies_is_named(make_vector):
     with pytest.raises(ChildProcessError, match=r"code -9.*fewer workers"):
         for _ in range(3):
             vector.step(np.zeros((LANES, 3), np.float32))
+    with pytest.raises(ChildProcessError, match="code -9"):  # also of what it left unanswered
+        vector.reset(seed=0)
 
 
 def test_what_is_wrong_in_a_worker_is_raised_here(make_vector):
