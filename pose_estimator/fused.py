@@ -2,8 +2,8 @@
 
 Batch norm in evaluation mode is a scale and a shift, which are folded into the weights. oneDNN then
 adds the bias and applies the activation while the result is still in the cache; written as layers
-of their own, clipping and padding cost more than the convolutions of a MobileNet. Weights are laid
-out and rounded to bfloat16 once, where the CPU has it.
+of their own, clipping and padding cost more than the convolutions of a MobileNet. Weights are
+rounded to bfloat16 once, where the CPU has it, and laid out once as oneDNN wants them.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from torch.nn import functional as F
 
 from .encoder import SameConv
 
-_USUAL_CELLS = 16
-"""Voxels along a side of the volumes that the environment's estimator fuses."""
+_LAID_OUT = 4
+"""Largest batch of pictures for which weights are kept as it wants them: larger ones take so long
+that it matters less, and come in many sizes. Of volumes there are few weights."""
 
 _Conv = nn.Conv2d | nn.Conv3d
 _Norm = nn.BatchNorm2d | nn.BatchNorm3d
@@ -75,11 +76,9 @@ class FusedConv(nn.Module):
         self.stride, self.dilation = list(conv.stride), list(conv.dilation)
         self.groups = conv.groups
         layout = torch.channels_last if weight.ndim == 4 else torch.channels_last_3d
-        weight = weight.to(dtype).contiguous(memory_format=layout)
-        if weight.ndim == 5:
-            weight = self._laid_out(weight)
-        self.register_buffer("weight", weight)
+        self.register_buffer("weight", weight.to(dtype).contiguous(memory_format=layout))
         self.register_buffer("bias", None if bias is None else bias.to(dtype))
+        self._laid_out: dict[tuple[int, ...], Tensor] = {}
         self.activation = "relu" if relu else "none"
 
     def forward(self, x: Tensor) -> Tensor:
@@ -89,22 +88,28 @@ class FusedConv(nn.Module):
         """The convolution, its result clipped to 0..6."""
         return self._apply_conv(x, "hardtanh", [0.0, 6.0])
 
-    def _laid_out(self, weight: Tensor) -> Tensor:
-        """A weight as oneDNN wants it for volumes of about the usual size.
-
-        Otherwise it would lay it out anew at every call; 2D maps come in too many sizes for one
-        layout to serve all.
-        """
-        size = [1, weight.shape[1] * self.groups, *[_USUAL_CELLS] * 3]
-        return torch.ops.mkldnn._reorder_convolution_weight(
-            weight, self.padding, self.stride, self.dilation, self.groups, size
-        )
-
     def _apply_conv(self, x: Tensor, activation: str, limits: list[float]) -> Tensor:
         return torch.ops.mkldnn._convolution_pointwise(
-            x.to(self.weight.dtype), self.weight, self.bias, self.padding, self.stride,
-            self.dilation, self.groups, activation, limits, "",
+            x.to(self.weight.dtype), self._weight_for(x.shape), self.bias, self.padding,
+            self.stride, self.dilation, self.groups, activation, limits, "",
         )  # fmt: skip
+
+    def _weight_for(self, shape: torch.Size) -> Tensor:
+        """The weight as oneDNN wants it for maps of a shape, which it would else do at every call.
+
+        What it wants depends on the shape and on the number of threads, and it is many times
+        slower with what it wants for others.
+        """
+        if len(shape) == 4 and shape[0] > _LAID_OUT:
+            return self.weight
+        key = torch.get_num_threads(), *shape
+        weight = self._laid_out.get(key)
+        if weight is None:
+            with torch.inference_mode(False):
+                weight = self._laid_out[key] = torch.ops.mkldnn._reorder_convolution_weight(
+                    self.weight, self.padding, self.stride, self.dilation, self.groups, list(shape)
+                )
+        return weight
 
 
 def _fused(module: nn.Module, dtype: torch.dtype) -> nn.Module:

@@ -75,6 +75,18 @@ def test_half_as_exact_in_half_the_bits():
     )
 
 
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float32])
+@torch.inference_mode()
+def test_what_was_seen_before_changes_no_answer(dtype):
+    """The first call decides how weights are laid out; batches and sizes may change after it."""
+    network = shaken(Encoder(6))
+    pictures = [torch.rand(batch, 3, side, side) for batch, side in ((1, 64), (3, 64), (2, 96))]
+    alone = [fused(network, dtype)(255 * picture) for picture in pictures]
+    quick = fused(network, dtype)
+    for picture, first in zip([*pictures, *pictures], [*alone, *alone], strict=True):
+        assert all(map(torch.equal, quick(255 * picture), first))
+
+
 def test_the_network_itself_is_left_alone():
     network = shaken(Encoder(2))
     before = [type(layer) for layer in network.modules()]
