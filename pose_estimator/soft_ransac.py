@@ -12,12 +12,11 @@ back onto SO(3).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
-from torch.autograd.function import once_differentiable
 
-from .three_point import misses, three_point_fits
+from .nearest_rotation import project_to_rotation
+from .three_point import three_point_fits
 
 
 @dataclass(frozen=True)
@@ -89,27 +88,24 @@ def soft_ransac(
     config = SoftRansacConfig() if config is None else config
     model_points, predicted = check_points(model_points, predicted)
     with torch.autocast(predicted.device.type, enabled=False):
-        rotations, translations, flatness = three_point_fits(model_points, predicted)
-
-        distances = misses(model_points, predicted, rotations, translations)
+        hypotheses = three_point_fits(model_points, predicted)
         gamma1, gamma2 = (
-            torch.as_tensor(g, dtype=predicted.dtype, device=predicted.device).reshape(-1, 1, 1)
-            for g in (config.gamma1, config.gamma2)
+            gamma.to(predicted).reshape(-1, 1, 1) if isinstance(gamma, torch.Tensor) else gamma
+            for gamma in (config.gamma1, config.gamma2)
         )
-        inliers = torch.sigmoid(gamma1 * (gamma2 - distances))
-        if weights is None:
-            weights = predicted.new_ones(predicted.shape[:2])
-        scores = (inliers @ weights.to(inliers.dtype)[..., None])[..., 0]
+        inliers = (gamma1 * (gamma2 - hypotheses.misses())).sigmoid()
+        if weights is not None:
+            inliers = inliers * weights.to(inliers.dtype)[..., None]
+        scores = inliers.sum(dim=1)
 
-        # softmax(p log s) = s^p / sum s^p. Degenerate triples come last: if a pose has no others,
-        # the least degenerate ones still make a finite answer.
-        alpha = torch.softmax(config.sharpness * (scores + 1e-12).log() - 1e4 * flatness, dim=-1)
-        mean_rotation = (alpha[:, None, None] @ rotations)[:, :, 0]
-        mean_translation = (alpha[:, None] * translations).sum(dim=-1)
-        rotation = project_to_rotation(mean_rotation)
+        # softmax(p log s) = s^p / sum s^p. Degenerate triples come last: a pose that has no others
+        # still has a finite answer.
+        powers = config.sharpness * (scores + 1e-12).log()
+        alpha = powers.masked_fill(hypotheses.unusable, -1e4).softmax(dim=-1)
         # A rotation turns about the model's centroid, which stays where the hypotheses put it.
-        centroid = model_points.mean(dim=-2)[..., None]
-        translation = mean_translation + ((mean_rotation - rotation) @ centroid)[..., 0]
+        mean_rotation, place = hypotheses.average(alpha)
+        rotation = project_to_rotation(mean_rotation)
+        translation = place - (rotation @ hypotheses.triangles.centre[..., None])[..., 0]
     return SoftRansacResult(rotation, translation, alpha)
 
 
@@ -143,51 +139,6 @@ def kabsch(
         rotation = project_to_rotation(covariance)
         translation = centroid - (rotation @ model_centroid[..., None])[..., 0]
     return rotation, translation
-
-
-def project_to_rotation(matrices: torch.Tensor) -> torch.Tensor:
-    """The rotations nearest to matrices (..., 3, 3) in the Frobenius norm.
-
-    The gradient is that of the polar decomposition itself. Unlike the gradient of the singular
-    vectors it is finite at equal singular values, where an average of rotations always is.
-    """
-    if torch.is_grad_enabled() and matrices.requires_grad:
-        return _ProjectToRotation.apply(matrices)
-    return _polar(matrices)[0]
-
-
-def _polar(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Rotation R of M = R P, the eigenvalues (..., 3) of P, and its eigenvectors in rows."""
-    u, s, vt = torch.linalg.svd(matrices)
-    turn = u @ vt
-    # The determinant of an orthogonal matrix by its rows, which is quicker than torch.linalg.det.
-    sign = (torch.linalg.cross(turn[..., 0, :], turn[..., 1, :]) * turn[..., 2, :]).sum(-1).sign()
-    flip = torch.ones_like(s)
-    flip[..., 2] = sign
-    return (u * flip[..., None, :]) @ vt, s * flip, vt
-
-
-class _ProjectToRotation(torch.autograd.Function):
-    """M = R P with R a rotation and P symmetric; see ``project_to_rotation``."""
-
-    @staticmethod
-    def forward(ctx: Any, matrices: torch.Tensor) -> torch.Tensor:  # type: ignore[override]
-        rotation, stretch, vt = _polar(matrices)
-        ctx.save_for_backward(rotation, stretch, vt)
-        return rotation
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, grad: torch.Tensor) -> torch.Tensor:  # type: ignore[override]
-        rotation, stretch, vt = ctx.saved_tensors
-        # dR = R W with W skew and W P + P W = R^T dM - dM^T R; in the basis of P's eigenvectors
-        # the left side is W_ij (p_i + p_j). A sum near zero means the rotation about that axis is
-        # undefined; its gradient is bounded.
-        sums = stretch[..., :, None] + stretch[..., None, :]
-        sums = sums.clamp_min(1e-12).maximum(1e-3 * stretch[..., :1, None])
-        inner = vt @ rotation.transpose(-1, -2) @ grad @ vt.transpose(-1, -2)
-        skew = (inner - inner.transpose(-1, -2)) / sums
-        return rotation @ vt.transpose(-1, -2) @ skew @ vt
 
 
 def check_points(

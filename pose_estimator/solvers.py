@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from .geometry import make_transform
+from .nearest_rotation import project_to_rotation
 from .soft_ransac import SoftRansacConfig, check_points, kabsch, soft_ransac
-from .three_point import misses, three_point_fits
+from .three_point import three_point_fits
 
 SOLVERS = ("soft", "kabsch", "hard")
 """Names that :func:`solve` knows."""
@@ -129,22 +130,26 @@ def _hard_ransac(
     """The least-squares fit of the largest set of keypoints that agree with one triple."""
     model_points, predicted = check_points(model_points, predicted)
     with torch.autocast(predicted.device.type, enabled=False):
-        rotations, translations, flatness = three_point_fits(model_points, predicted)
+        hypotheses = three_point_fits(model_points, predicted)
         with torch.no_grad():
-            distances = misses(model_points, predicted, rotations, translations)
+            distances = hypotheses.misses()
             limit = torch.as_tensor(threshold, dtype=distances.dtype, device=distances.device)
             limit = limit.reshape(-1, 1, 1)
             inliers = distances < limit
             # Of two triples with as many inliers, the better fit: its share is less than one.
-            misfit = torch.minimum(distances / limit, distances.new_ones(())).square().mean(dim=-1)
-            best = (inliers.sum(dim=-1) - misfit - 1e4 * flatness).argmax(dim=-1)
-        batch = torch.arange(len(best), device=best.device)
-        agreeing = inliers[batch, best].to(predicted.dtype)
+            misfit = torch.minimum(distances / limit, distances.new_ones(())).square().mean(dim=1)
+            worst = 1e4 * hypotheses.unusable
+            best = (inliers.sum(dim=1) - misfit - worst).argmax(dim=-1)
+            chosen = torch.nn.functional.one_hot(best, distances.shape[-1]).to(predicted.dtype)
+        agreeing = (inliers & chosen[:, None].bool()).any(dim=-1).to(predicted.dtype)
         fitted = kabsch(
             model_points, predicted, agreeing if weights is None else agreeing * weights
         )
         enough = agreeing.sum(dim=-1) >= 3
-        triple = rotations.transpose(1, 2)[batch, best], translations.transpose(1, 2)[batch, best]
+        rotation, place = hypotheses.average(chosen)
+        rotation = project_to_rotation(rotation)
+        centre = hypotheses.triangles.centre[..., None]
+        triple = rotation, place - (rotation @ centre)[..., 0]
         return RigidMotions(
             torch.where(enough[:, None, None], fitted[0], triple[0]),
             torch.where(enough[:, None], fitted[1], triple[1]),

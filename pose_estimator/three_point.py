@@ -2,8 +2,10 @@
 
 A three-point fit needs no singular value decomposition. Two centred triangles span one plane each;
 the best rotation (Kabsch) lays one plane on the other and then turns it in the plane, and that turn
-is the two-dimensional Procrustes angle, which has a closed form. All triangles of all poses are
-solved in a few batched operations.
+is the two-dimensional Procrustes angle, which has a closed form.
+
+All that depends on the model alone is worked out once for each model. What is left are a few
+operations on long rows, one number for each triangle: vectors lie as their coordinates, (3, B, H).
 """
 
 from __future__ import annotations
@@ -21,90 +23,130 @@ _FLATTEST_PREDICTED_TRIANGLE = 0.01
 """Area over the model triangle's area below which a predicted triple says nothing of rotation."""
 
 
-def three_point_fits(
-    model_points: torch.Tensor, predicted: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Kabsch of every triple in closed form.
-
-    Returns:
-        Rotations (B, 3, H, 3), the hypotheses on the third axis; translations (B, 3, H); and how
-        degenerate each triple is (B, H): 0 for sound ones, 1 if the predicted points are on one
-        line, 2 if the model's are.
-    """
-    corners = _triples(predicted.shape[1], predicted.device)
-    model = _model_triangles(model_points, corners)
-    frames, a_x, b_x, b_y = model.frames, model.a_x, model.b_x, model.b_y
-
-    first, edge_a, edge_b = _corner_and_edges(predicted, corners)
-    cross = torch.linalg.cross(edge_a, edge_b)
-    flat = cross.detach().norm(dim=-1) <= _FLATTEST_PREDICTED_TRIANGLE * model.area
-    unusable = (flat | model.flat)[..., None]
-    # Stand-ins keep the unused branch finite, so that its zero gradient is zero and not NaN.
-    axes = _axes(predicted.dtype, predicted.device)
-    normal = _unit(torch.where(unusable, axes[2], cross))
-    # In the plane, with points as complex numbers, the best turn is along sum b conj(a). The a are
-    # centred, so the b need not be, and corner 0 may be their origin.
-    real = edge_a * (2 * a_x - b_x) + edge_b * (2 * b_x - a_x)
-    imaginary = (2 * edge_b - edge_a) * b_y
-    turn = real - torch.linalg.cross(normal, imaginary)
-    turn = _unit(torch.where(unusable, axes[0], turn))
-    triad = (turn, torch.linalg.cross(normal, turn), normal)
-
-    theirs = "khj" if model_points.ndim == 2 else "bkhj"
-    rotations = torch.einsum(f"bkhi,{theirs}->bihj", torch.stack(triad, 1), torch.stack(frames, -3))
-    turned = sum(ours * part for ours, part in zip(triad, model.centroid, strict=True))
-    centroid = first + (edge_a + edge_b) / 3
-    translations = (centroid - turned).transpose(1, 2)
-    flatness = flat.to(predicted.dtype) + 2 * model.flat.to(predicted.dtype)
-    return rotations, translations, flatness
-
-
-def misses(
-    model_points: torch.Tensor,
-    predicted: torch.Tensor,
-    rotations: torch.Tensor,
-    translations: torch.Tensor,
-) -> torch.Tensor:
-    """Distance in metres of every keypoint from where every hypothesis puts it, (B, H, K).
-
-    Args:
-        model_points: (K, 3) or (B, K, 3).
-        predicted: (B, K, 3).
-        rotations: (B, 3, H, 3), as ``three_point_fits`` gives them.
-        translations: (B, 3, H).
-    """
-    # (B, 3, H, K): each hypothesis applied to all model points.
-    moved = (rotations.flatten(1, 2) @ model_points.transpose(-1, -2)).unflatten(1, (3, -1))
-    offsets = moved + translations[..., None] - predicted.transpose(1, 2)[:, :, None]
-    return (offsets.square().sum(dim=1) + 1e-12).sqrt()  # smooth at zero
-
-
 class _Triangles(NamedTuple):
-    """The triangles of a model, (..., H, n) each.
+    """What the triangles of a model are; the B is there if each pose has a model of its own.
 
     Attributes:
-        frames: axes along an edge, across it, and normal; (..., H, 3) each.
-        area: twice the triangle's, (..., H).
-        flat: which are no triangles, (..., H).
-        a_x: the second corner's coordinate in the frame, less the first's, (..., H, 1).
-        b_x: the third's.
-        b_y: the third's along the second axis.
-        centroid: its coordinates along the frame's axes, from the model's origin, (..., H, 1) each.
+        sums: weights of the keypoints, (5, [B,] K, H), in the two edges from the first corner, in
+            the real and the imaginary part of the turn, and in the centroid.
+        smallest: squared double area up to which a predicted triangle is of no use, ([B,] H);
+            infinite where the model's is none.
+        coordinates: of all keypoints along axes by an edge, across it and normal, from the
+            centroid, (3, B or 1, K, H).
+        shares: what each axis, and last the centroid, adds to the rotation and, beside it, to
+            where the model's centre goes, (4, [B,] H, 4); three times over, one for each of x, y,
+            z, if poses share the model, (12, H, 4).
+        centre: mean of the keypoints, ([B,] 3).
     """
 
-    frames: tuple[torch.Tensor, torch.Tensor, torch.Tensor]
-    area: torch.Tensor
-    flat: torch.Tensor
-    a_x: torch.Tensor
-    b_x: torch.Tensor
-    b_y: torch.Tensor
-    centroid: tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+    sums: torch.Tensor
+    smallest: torch.Tensor
+    coordinates: torch.Tensor
+    shares: torch.Tensor
+    centre: torch.Tensor
 
 
-def _model_triangles(points: torch.Tensor, corners: torch.Tensor) -> _Triangles:
+class Hypotheses(NamedTuple):
+    """The motions of H triples of keypoints of B poses.
+
+    Each lays the model's triangle on the predicted one: centroid on centroid, and the axes of the
+    one on those of the other.
+
+    Attributes:
+        axes: of the predicted triangles; coordinate, axis, pose, triple: (3, 3, B, H).
+        centroids: of the predicted triangles, from ``origin``, (3, B, H).
+        origin: (B, 1, 3).
+        points: the predicted keypoints from ``origin``, (B, K, 3).
+        unusable: triples that say nothing of rotation, (B, H); their motions are finite, no more.
+        triangles: of the model.
+    """
+
+    axes: torch.Tensor
+    centroids: torch.Tensor
+    origin: torch.Tensor
+    points: torch.Tensor
+    unusable: torch.Tensor
+    triangles: _Triangles
+
+    def misses(self) -> torch.Tensor:
+        """Distance in metres of every keypoint from where every triple puts it, (B, K, H)."""
+        points = torch.cat([self.points] * 3)
+        axes = self.axes.flatten(1, 2).transpose(0, 1)  # (3 B, 3, H)
+        # Along each axis: where a keypoint should be, less where it is.
+        centroids = (self.axes * self.centroids[:, None]).sum(dim=0)
+        offsets = (centroids[:, :, None] + self.triangles.coordinates).flatten(0, 1)
+        offsets = offsets.baddbmm_(points, axes, alpha=-1).unflatten(0, (3, len(self.points)))
+        return ((offsets * offsets).sum(dim=0) + 1e-12).sqrt()  # smooth at zero
+
+    def average(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Weighted sums of the motions.
+
+        Args:
+            weights: of the triples, (B, H); a pose's sum to one.
+
+        Returns:
+            Of rotations, (B, 3, 3), in general none itself; and of where the mean of the model's
+            keypoints goes, (B, 3).
+        """
+        parts = torch.cat([self.axes, self.centroids[:, None]], dim=1) * weights
+        shares = self.triangles.shares
+        if shares.ndim == 4:  # a model for each pose
+            sums = torch.einsum("ckbh,kbhj->bcj", parts, shares)
+        else:
+            sums = torch.bmm(parts.flatten(0, 1), shares).unflatten(0, (3, 4))
+            sums = sums.sum(dim=1).transpose(0, 1)
+        return sums[..., :3], sums[..., 3] + self.origin[:, 0]
+
+
+def three_point_fits(model_points: torch.Tensor, predicted: torch.Tensor) -> Hypotheses:
+    """Kabsch of every triple in closed form.
+
+    Args:
+        model_points: (K, 3) or (B, K, 3), metres.
+        predicted: (B, K, 3), metres.
+
+    Raises:
+        ValueError: if all keypoints of a model lie on one line.
+    """
+    triangles = _model_triangles(model_points)
+    origin = predicted[:, :1]
+    points = predicted - origin
+    sums = _sums(points, triangles.sums)
+    cross = _cross(sums[0], sums[1])
+    doubled_area = (cross * cross).sum(dim=0)
+    unusable = doubled_area <= triangles.smallest
+    # Those stay as they are: what has no direction has no gradient of it either, not even NaN.
+    normal = cross * doubled_area.masked_fill(unusable, 1.0).rsqrt()
+    # In the plane, with points as complex numbers, the best turn is along sum b conj(a); a quarter
+    # turn is a cross product with the normal.
+    quarter = _cross(torch.cat([normal, normal[:2]]), sums[2:4])
+    turn, across = sums[2, :3] - quarter[1], sums[3, :3] + quarter[0]
+    scale = (turn * turn).sum(dim=0).masked_fill(unusable, 1.0).rsqrt()
+    axes = torch.stack([turn * scale, across * scale, normal], dim=1)
+    return Hypotheses(axes, sums[4, :3], origin, points, unusable, triangles)
+
+
+def _sums(points: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    """Five weighted sums of points (B, K, 3), each as x, y, z, x, y: (5, 5, B, H)."""
+    rows = points.permute(2, 0, 1)
+    rows = torch.cat([rows, rows[:2]])
+    if weights.ndim == 4:  # a model for each pose
+        return torch.einsum("cbk,fbkh->fcbh", rows, weights)
+    sums = torch.bmm(rows.flatten(0, 1).expand(len(weights), -1, -1), weights)
+    return sums.unflatten(1, rows.shape[:2])
+
+
+def _cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """Cross products (..., 3, B, H) of vectors (..., 5, B, H), x and y of which come twice."""
+    a_next, a_last = a.narrow(-3, 1, 3), a.narrow(-3, 2, 3)
+    b_next, b_last = b.narrow(-3, 1, 3), b.narrow(-3, 2, 3)
+    return torch.addcmul(a_next * b_last, a_last, b_next, value=-1)
+
+
+def _model_triangles(points: torch.Tensor) -> _Triangles:
     """The triangles of a model (K, 3), which are remembered, or of several (B, K, 3)."""
     if points.ndim == 3 or points.device.type != "cpu":
-        return _find_triangles(points, corners)
+        return _find_triangles(points)
     return _known_triangles(points.numpy().tobytes(), points.shape, points.dtype)
 
 
@@ -112,68 +154,63 @@ def _model_triangles(points: torch.Tensor, corners: torch.Tensor) -> _Triangles:
 def _known_triangles(content: bytes, shape: torch.Size, dtype: torch.dtype) -> _Triangles:
     # What inference mode makes could not take part in a later training.
     with torch.inference_mode(False):
-        points = torch.frombuffer(bytearray(content), dtype=dtype).reshape(shape)
-        return _find_triangles(points, _triples(len(points), points.device))
+        return _find_triangles(torch.frombuffer(bytearray(content), dtype=dtype).reshape(shape))
 
 
 @torch.no_grad()
-def _find_triangles(points: torch.Tensor, corners: torch.Tensor) -> _Triangles:
-    first, edge_a, edge_b = _corner_and_edges(points, corners)
-    cross = torch.linalg.cross(edge_a, edge_b)
-    area = cross.norm(dim=-1)
-    longest = torch.stack([edge_a, edge_b, edge_b - edge_a]).square().sum(dim=-1).amax(dim=0)
+def _find_triangles(points: torch.Tensor) -> _Triangles:
+    corners = _corners(points.shape[-2], points.dtype, points.device)  # (3, K, H)
+    first, second, third = (points.mT @ corner for corner in corners)  # (..., 3, H)
+    edge_a, edge_b = second - first, third - first
+    cross = torch.linalg.cross(edge_a, edge_b, dim=-2)
+    area = cross.norm(dim=-2)
+    longest = torch.stack([edge_a, edge_b, edge_b - edge_a]).square().sum(dim=-2).amax(dim=0)
     flat = (area < _FLATTEST_MODEL_TRIANGLE * longest) | (longest <= 0)
     if flat.all(dim=-1).any():
         raise ValueError(
             "model_points lie on one line (or in one point): they do not determine a rotation"
         )
-    axes = _axes(points.dtype, points.device)
-    along = _unit(torch.where(flat[..., None], axes[0], edge_a))
-    normal = _unit(torch.where(flat[..., None], axes[2], cross))
-    frames = along, torch.linalg.cross(normal, along), normal
-    centroid = first + (edge_a + edge_b) / 3
+    # Flat ones have stand-ins, which keep everything finite.
+    x, _, z = torch.eye(3, dtype=points.dtype, device=points.device)[:, :, None]
+    along = _unit(torch.where(flat[..., None, :], x, edge_a))
+    normal = _unit(torch.where(flat[..., None, :], z, cross))
+    across = torch.linalg.cross(normal, along, dim=-2)
+    frames = torch.stack([along, across, normal])  # (3, ..., 3, H)
 
     def coordinate(vectors: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
-        return (vectors * axis).sum(dim=-1, keepdim=True)
+        return (vectors * axis).sum(dim=-2, keepdim=True)  # (..., 1, H)
 
-    across = frames[1]
+    a_x, b_x, b_y = coordinate(edge_a, along), coordinate(edge_b, along), coordinate(edge_b, across)
+    centroid = coordinate(first + (edge_a + edge_b) / 3, frames)  # (3, ..., 1, H)
+    # The a of sum b conj(a) are centred, so the b need not be, and corner 0 may be their origin.
+    to_second, to_third = corners[1] - corners[0], corners[2] - corners[0]
+    real = to_second * (2 * a_x - b_x) + to_third * (2 * b_x - a_x)
+    imaginary = (2 * to_third - to_second) * b_y
+    alike = to_second, to_third, real, imaginary, corners.mean(dim=0)
+    coordinates = points @ frames - centroid  # (3, ..., K, H)
+    centre = points.mean(dim=-2)
+    to_centre = centre[..., None, :] @ frames - centroid  # (3, ..., 1, H)
+    shares = torch.cat([frames, to_centre], dim=-2)  # (3, ..., 4, H)
+    last = torch.zeros_like(shares[:1])
+    last[..., 3, :] = 1.0
+    shares = torch.cat([shares, last]).mT.contiguous()
     return _Triangles(
-        frames=frames,
-        area=area,
-        flat=flat,
-        a_x=coordinate(edge_a, along),
-        b_x=coordinate(edge_b, along),
-        b_y=coordinate(edge_b, across),
-        centroid=(
-            coordinate(centroid, along),
-            coordinate(centroid, across),
-            coordinate(centroid, normal),
-        ),
+        sums=torch.stack(torch.broadcast_tensors(*alike)),
+        smallest=torch.where(flat, torch.inf, (_FLATTEST_PREDICTED_TRIANGLE * area).square()),
+        coordinates=coordinates if points.ndim == 3 else coordinates[:, None],
+        shares=shares if points.ndim == 3 else shares.repeat(3, 1, 1),
+        centre=centre,
     )
 
 
-def _corner_and_edges(
-    points: torch.Tensor, corners: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """First corner of each triple and the edges to the other two, (..., H, 3) each."""
-    first, second, third = (points.index_select(-2, index) for index in corners)
-    return first, second - first, third - first
-
-
 def _unit(vectors: torch.Tensor) -> torch.Tensor:
-    return vectors / vectors.norm(dim=-1, keepdim=True)
+    return vectors / vectors.norm(dim=-2, keepdim=True)
 
 
 @lru_cache(maxsize=16)
-def _axes(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
-    """The unit vectors, (3, 3)."""
-    with torch.inference_mode(False):  # as for _triples
-        return torch.eye(3, dtype=dtype, device=device)
-
-
-@lru_cache(maxsize=16)
-def _triples(count: int, device: torch.device) -> torch.Tensor:
-    """Indices of all three-point subsets, (3, H)."""
+def _corners(count: int, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    """Which keypoint is which corner of each triple, ones and zeros (3, K, H)."""
     # What inference mode makes could not take part in a later training.
     with torch.inference_mode(False):
-        return torch.tensor(list(combinations(range(count), 3)), device=device).T.contiguous()
+        triples = torch.tensor(list(combinations(range(count), 3)), device=device)  # (H, 3)
+        return torch.eye(count, dtype=dtype, device=device)[triples].permute(1, 2, 0).contiguous()

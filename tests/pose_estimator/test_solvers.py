@@ -62,6 +62,30 @@ def test_each_pose_of_a_batch_is_as_if_alone(solver):
         torch.testing.assert_close(alone.translation[0], together.translation[i], rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_models_of_their_own(solver):
+    """Poses of several objects at once, one of which has keypoints on a line."""
+    models, predicted = [], []
+    for seed in range(4):
+        model, truth, rng = scene(20 + seed, batch=1)
+        if seed == 2:
+            model[3] = (model[0] + model[1]) / 2
+        models.append(model)
+        predicted.append(truth[0] + rng.normal(0, 0.02, (9, 3)))
+    together = run(np.stack(models), np.stack(predicted), solver)
+    for i, (model, points) in enumerate(zip(models, predicted, strict=True)):
+        alone = run(model, points[None], solver)
+        np.testing.assert_allclose(together.rotation[i], alone.rotation[0], atol=1e-12)
+        np.testing.assert_allclose(together.translation[i], alone.translation[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_no_poses(solver):
+    model, truth, _ = scene(30)
+    found = run(model, truth[:0], solver)
+    assert found.rotation.shape == (0, 3, 3) and found.translation.shape == (0, 3)
+
+
 def test_kabsch_weighs_keypoints_by_their_precision():
     model, truth, rng = scene(2)
     deviation = rng.uniform(0.002, 0.03, (6, 9))
@@ -166,7 +190,7 @@ def test_one_object_in_arrays(solver):
 
 
 def test_estimating_first_does_not_spoil_training():
-    three_point._triples.cache_clear()
+    three_point._corners.cache_clear()
     model, truth, _ = scene(9)
     with torch.inference_mode():
         run(model, truth, "soft")
