@@ -53,6 +53,7 @@ class Graphics:
         self._scene: mujoco.MjvScene | None = None
         self._option = mujoco.MjvOption()
         self._camera = mujoco.MjvCamera()
+        self._perturb = mujoco.MjvPerturb()
 
     def draw(
         self,
@@ -62,24 +63,28 @@ class Graphics:
         width: int,
         *,
         segment: bool = False,
-        groups: tuple[int, ...] = (ROOM, MOVABLE),
+        groups: tuple[int, ...] = (MOVABLE, ROOM),
         shadows: bool = True,
     ) -> mujoco.MjrRect:
-        """Draws into the lower left corner of the buffer; :meth:`read` gets the pixels."""
+        """Draws into the lower left corner of the buffer; :meth:`read` gets the pixels.
+
+        The groups are drawn one after another. What lies hidden when it is drawn is not shaded,
+        so the room comes last.
+        """
         context = self._ready(height, width)
         scene = self._scene
         assert scene is not None
-        self._option.geomgroup[:] = 0
-        self._option.geomgroup[list(groups)] = 1
-        mujoco.mjv_updateScene(
-            self._world.model,
-            self._data,
-            self._option,
-            None,
-            self._camera,
-            mujoco.mjtCatBit.mjCAT_ALL.value,
-            scene,
-        )
+        model, option = self._world.model, self._option
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        for group in groups:
+            option.geomgroup[:] = 0
+            option.geomgroup[group] = 1
+            if group == groups[0]:
+                mujoco.mjv_updateScene(
+                    model, self._data, option, None, self._camera, everything, scene
+                )
+            else:
+                mujoco.mjv_addGeoms(model, self._data, option, self._perturb, everything, scene)
         aim(scene, T_cam_world, K, height, width)
         scene.flags[:] = 0
         scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = 1
