@@ -20,6 +20,7 @@ from ..assets.object_model import ObjectModel
 from ..pose_estimator.estimate import PoseEstimate
 from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, View, check_rigid
 from ..pose_estimator.metrics import add_or_add_s
+from . import freed_memory
 from .carrier import Carrier, FreeFlyingCarrier, PoseNoise
 from .episode import Episode
 from .episode_figure import episode_figure
@@ -94,6 +95,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         self._studio = studio(self._studio_config)
         self._window = Window("Two-View Pose")
         self._episode: Episode | None = None
+        self._episodes = 0
         self._fields = observation_space(len(self._names), image_size)
         self.observation_space: spaces.Space[Any] = self._fields
         self.action_space: spaces.Space[Any] = self.make_action_space()
@@ -203,6 +205,9 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
 
     def begin(self, order: SceneOrder, setup: Setup) -> None:
         """Starts an episode in a scene that was set up; it has no view yet."""
+        self._episodes += 1
+        if self._episodes % freed_memory.EPISODES == 0:
+            freed_memory.give_back()
         self._episode = Episode(
             scene_seed=order.seed,
             object_name=setup.object_name,
