@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from .device import has_fast_bfloat16
 from .features import FeatureConfig
 from .fused import fused
-from .networks import has_fast_bfloat16
 from .stopwatch import WARM_UP, Record, seconds
 from .volume import PRESETS, Volume, VolumeNet, as_convolved
 

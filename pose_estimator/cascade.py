@@ -250,8 +250,8 @@ def compare(
         (B, groups + 1, D, H, W): correlation with the mean of the views that show the point, and
         the share of the views that do.
     """
-    total = torch.zeros(())
-    seen = torch.zeros(())
+    total = features.new_zeros((), dtype=torch.float32)
+    seen = torch.zeros_like(total)
     for view in range(1, features.shape[1]):
         drawn, inside = sweep(features[:, view], K[:, 0], K[:, view], T_view_ref[:, view], supposed)
         shown = inside.unsqueeze(1).to(drawn.dtype)

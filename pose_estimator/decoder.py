@@ -42,7 +42,8 @@ class CoordinateConv(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         height, width = x.shape[2:]
-        rows, columns = torch.linspace(-1, 1, height), torch.linspace(-1, 1, width)
+        rows = torch.linspace(-1, 1, height, device=x.device)
+        columns = torch.linspace(-1, 1, width, device=x.device)
         grid = torch.stack(torch.meshgrid(columns, rows, indexing="xy"))
         return x + self.project(grid[None]).to(x.dtype)
 

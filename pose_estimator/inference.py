@@ -15,9 +15,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from .device import uses_bfloat16
 from .features import Features2D
 from .fused import fused
-from .networks import PoseNetworks, has_fast_bfloat16
+from .networks import PoseNetworks
 from .volume import LevelOutput, ViewMaps
 from .voting import vote_keypoints
 
@@ -109,7 +110,8 @@ class Inference:
 
     def __init__(self, networks: PoseNetworks) -> None:
         self.networks = networks
-        self.bfloat16 = has_fast_bfloat16()
+        self.device = networks.device
+        self.bfloat16 = uses_bfloat16(self.device)
         self._quick: dict[str, tuple[nn.Module, nn.Module]] = {}
 
     def ask(self, question: Question) -> Any:
@@ -130,8 +132,8 @@ class Inference:
         return answers
 
     def autocast(self) -> torch.autocast:
-        """bfloat16 where the CPU is fast at it."""
-        return torch.autocast("cpu", torch.bfloat16, enabled=self.bfloat16)
+        """bfloat16 where the device is fast at it."""
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16)
 
     def _network(self, part: str) -> Any:
         """A part of the networks as it runs quickest; made when it is first needed."""

@@ -88,6 +88,7 @@ def pose_loss(
     """
     shift = torch.linalg.vector_norm(translation - T_true[:, :3, 3], dim=-1) / scale
     turn = torch.linalg.matrix_norm(
-        T_true[:, :3, :3] @ rotation.transpose(1, 2) - torch.eye(3, dtype=rotation.dtype)
+        T_true[:, :3, :3] @ rotation.transpose(1, 2)
+        - torch.eye(3, dtype=rotation.dtype, device=rotation.device)
     )
     return (shift + alpha * turn).mean()

@@ -64,12 +64,13 @@ def _quadratic_forms(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
     """What the entries of a rotation, row by row, are in its quaternion (w, x, y, z): (9, 16)."""
     # What inference mode makes could not take part in a later training.
     with torch.inference_mode(False):
-        forms = torch.zeros(3, 3, 4, 4, dtype=dtype)
+        forms = torch.zeros(3, 3, 4, 4, dtype=dtype, device="cpu")
         for i in range(3):
             # Three axes in turn, and where a quaternion has them.
             j, k = (i + 1) % 3, (i + 2) % 3
             p, q, r = 1 + i, 1 + j, 1 + k
-            forms[i, i, [0, p, q, r], [0, p, q, r]] = torch.tensor([1, 1, -1, -1], dtype=dtype)
+            signs = torch.tensor([1, 1, -1, -1], dtype=dtype, device="cpu")
+            forms[i, i, [0, p, q, r], [0, p, q, r]] = signs
             for row, column, sign in ((i, j, -1), (j, i, 1)):  # 2 (q_p q_q -+ w q_r)
                 forms[row, column, [p, q], [q, p]] = 1
                 forms[row, column, [0, r], [r, 0]] = sign

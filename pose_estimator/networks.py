@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import torch
 from torch import nn
@@ -64,15 +63,11 @@ class PoseNetworks(nn.Module):
         self.volume.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
 
     @property
+    def device(self) -> torch.device:
+        """Where the networks are."""
+        return self.features.head_bias.device
+
+    @property
     def config(self) -> NetworkConfig:
         """Shapes of all networks as they are now."""
         return replace(self._config, features=self.features.config)
-
-
-def has_fast_bfloat16() -> bool:
-    """Whether this CPU multiplies bfloat16 matrices in hardware."""
-    try:
-        flags = Path("/proc/cpuinfo").read_text()
-    except OSError:
-        return False
-    return "avx512_bf16" in flags or "amx_bf16" in flags

@@ -59,7 +59,7 @@ def sample_points(
         K: (B, 3, 3) camera of the crop; any affine of a camera's.
         diameter: (B,) of the object, metres.
         count: how many points; where there are fewer pixels, the rest is not valid.
-        generator: of the draws, one or one for each crop.
+        generator: of the draws, one or one for each crop, on the CPU: so every device draws alike.
 
     Returns:
         The points. A crop without any has none that are valid, and finite numbers.
@@ -70,9 +70,12 @@ def sample_points(
     ]
     usable = (depth > 0) & (inside > _ON_OBJECT)
     if isinstance(generator, torch.Generator):
-        keys = torch.rand((batch, side * side), generator=generator)
+        keys = torch.rand((batch, side * side), generator=generator, device="cpu")
     else:
-        keys = torch.stack([torch.rand(side * side, generator=own) for own in generator])
+        keys = torch.stack(
+            [torch.rand(side * side, generator=own, device="cpu") for own in generator]
+        )
+    keys = keys.to(depth.device)
     keys, index = torch.where(usable.flatten(1), keys, -1.0).topk(count, sorted=False)
     valid = keys >= 0
     z = torch.where(valid, depth.flatten(1).gather(1, index), 1.0)
@@ -84,7 +87,7 @@ def sample_points(
     centre = _median(xyz, valid)
     valid = valid & ((xyz - centre[:, None]).norm(dim=-1) < _REACH * diameter[:, None])
     centre = _median(xyz, valid)
-    to_grid = torch.from_numpy(grid_matrix(side // mask.shape[-1])).to(depth.dtype)
+    to_grid = torch.from_numpy(grid_matrix(side // mask.shape[-1])).to(depth)
     return PointCloud(
         xyz=torch.where(valid[..., None], xyz, centre[:, None]),
         pixels=(pixels @ to_grid.mT)[..., :2],

@@ -102,7 +102,7 @@ def solve_pose(
     motion = solve(
         torch.from_numpy(model_points).float(),
         torch.from_numpy(predicted).float()[None],
-        torch.tensor([diameter], dtype=torch.float32),
+        torch.tensor([diameter], dtype=torch.float32, device="cpu"),
         solver,
         None if covariance is None else torch.from_numpy(covariance).float()[None],
     )

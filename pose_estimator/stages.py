@@ -13,13 +13,14 @@ from torch import Tensor
 from ..assets.object_model import ObjectModel
 from .dataset import TrainingSet
 from .detector import decode
+from .device import uses_bfloat16
 from .features import Features2D
 from .geometry import make_transform
 from .inference import vote
 from .loader import batches, own_generators, prepared
 from .losses import box_loss, direction_loss, heat_map_loss, mask_loss
 from .metrics import add_or_add_s
-from .networks import PoseNetworks, has_fast_bfloat16
+from .networks import PoseNetworks
 from .solvers import RigidMotions
 from .target_sample import TargetSample, stack_targets
 
@@ -50,11 +51,12 @@ class StageBase:
         self.batch = batch
         self.learning_rate = learning_rate
         self.seed = seed
-        self.bfloat16 = has_fast_bfloat16()
+        self.device = networks.device
+        self.bfloat16 = uses_bfloat16(self.device)
 
     def autocast(self) -> torch.autocast:
-        """bfloat16 where the CPU is fast at it."""
-        return torch.autocast("cpu", torch.bfloat16, enabled=self.bfloat16)
+        """bfloat16 where the device is fast at it."""
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16)
 
 
 def vote_apart(features: Features2D, size: int) -> tuple[Tensor, Tensor]:

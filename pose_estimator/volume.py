@@ -221,7 +221,8 @@ def as_convolved(x: Tensor) -> Tensor:
 
 def voxel_centres(centre: Tensor, half: Tensor, count: int) -> Tensor:
     """Centres (B, count^3, 3) of the voxels of cubes of half side ``half`` (B,) around (B, 3)."""
-    steps = (torch.arange(count, dtype=centre.dtype) + 0.5) / count * 2 - 1
+    steps = torch.arange(count, dtype=centre.dtype, device=centre.device)
+    steps = (steps + 0.5) / count * 2 - 1
     grid = torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
     return centre[:, None] + grid * half[:, None, None]
 

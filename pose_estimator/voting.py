@@ -14,6 +14,7 @@ trusted as a weight.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 
@@ -54,11 +55,11 @@ def vote_keypoints(
     inlier_cosine: float = 0.99,
     max_pixels: int = 256,
     seed: int = 0,
-    generator: torch.Generator | None = None,
 ) -> Votes:
     """Votes for each keypoint; no gradient.
 
-    The same inputs give the same votes, unless a ``generator`` is passed, which is advanced.
+    The same inputs give the same votes, wherever in a batch they stand: all crops share the same
+    draws, which are the processor's on every device.
 
     Args:
         directions: (B, K, 2, H, W), from each pixel towards each keypoint, (x, y); their length
@@ -68,8 +69,7 @@ def vote_keypoints(
         hypotheses: pairs drawn for each keypoint.
         inlier_cosine: a pixel votes for a point if its direction is at least this near to it.
         max_pixels: pixels that take part, drawn without replacement in proportion to weight.
-        seed: of the draws, if there is no generator.
-        generator: where the draws come from instead.
+        seed: of the draws.
 
     Returns:
         Finite votes always. With no pixel at all, the middle of the grid with a covariance of the
@@ -79,17 +79,16 @@ def vote_keypoints(
         ValueError: if shapes do not match.
     """
     batch, count, height, width = _check_shapes(directions, weights)
-    if generator is None:
-        generator = torch.Generator(directions.device).manual_seed(seed)
+    by_pixel, by_pair = _draws(height * width, count, hypotheses, seed, directions.device)
     with torch.autocast(directions.device.type, enabled=False):
         points, lines, weights = _choose_pixels(
-            directions.float(), weights.float(), max_pixels, generator
+            directions.float(), weights.float(), max_pixels, by_pixel
         )
         total = weights.sum(dim=-1)
         middle = points.new_tensor([(width - 1) / 2, (height - 1) / 2])
         extent = float(height**2 + width**2) ** 0.5
 
-        proposals, valid = _propose(points, lines, weights, hypotheses, generator)
+        proposals, valid = _propose(points, lines, weights, by_pair)
         # Far intersections are noise; where exactly does not matter.
         proposals = middle + (proposals - middle).clamp(-4 * extent, 4 * extent)
         votes, shares = _count_votes(
@@ -121,8 +120,21 @@ def vote_keypoints(
     return Votes(mean, covariance, score)
 
 
+@lru_cache(maxsize=16)
+def _draws(
+    pixels: int, count: int, hypotheses: int, seed: int, device: torch.device
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Uniform numbers for the draw of pixels (pixels,) and of pairs (K, 2 * hypotheses)."""
+    generator = torch.Generator("cpu").manual_seed(seed)
+    # What inference mode makes could not take part in a later training.
+    with torch.inference_mode(False):
+        by_pixel = torch.rand(pixels, generator=generator, device="cpu")
+        by_pair = torch.rand((count, 2 * hypotheses), generator=generator, device="cpu")
+        return by_pixel.to(device), by_pair.to(device)
+
+
 def _choose_pixels(
-    directions: torch.Tensor, weights: torch.Tensor, max_pixels: int, generator: torch.Generator
+    directions: torch.Tensor, weights: torch.Tensor, max_pixels: int, uniform: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """At most ``max_pixels`` pixels, the same ones for all keypoints of an object.
 
@@ -135,9 +147,6 @@ def _choose_pixels(
     by_pixel = weights if weights.ndim == 2 else weights.sum(dim=1)
     if pixels < height * width:
         # Efraimidis and Spirakis 2006: the largest u^(1/w) are a weighted draw.
-        uniform = torch.rand(
-            by_pixel.shape, generator=generator, device=by_pixel.device, dtype=by_pixel.dtype
-        )
         keys = uniform.clamp_min(1e-12).log() / by_pixel.clamp_min(1e-12)
         chosen = keys.topk(pixels, dim=-1, sorted=False).indices
     else:
@@ -157,13 +166,12 @@ def _propose(
     points: torch.Tensor,
     lines: torch.Tensor,
     weights: torch.Tensor,
-    hypotheses: int,
-    generator: torch.Generator,
+    uniform: torch.Tensor,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Intersections (B, K, N, 2) of random pairs of lines, and which are lines that do meet."""
     batch, count, pixels = weights.shape
     cumulative = weights.cumsum(dim=-1)
-    uniform = torch.rand((batch, count, 2 * hypotheses), generator=generator, device=weights.device)
+    hypotheses = uniform.shape[-1] // 2
     drawn = torch.searchsorted(cumulative, uniform * cumulative[..., -1:], right=True)
     drawn = drawn.clamp_max(pixels - 1)
     ends = points[:, None].expand(batch, count, pixels, 2)

@@ -153,7 +153,7 @@ def train(dataset: Path, out: Path, boxes: dict, patch, stop_at: int | None = No
         return loss(self, batch)
 
     patch(training, "start_networks", listen)
-    patch(stages, "has_fast_bfloat16", lambda: False)
+    patch(stages, "uses_bfloat16", lambda device: False)
     # Muon makes as much of directions without gradient, which are rounding alone, as of others.
     patch(optimizer, "_LEAST_SIDE", 10**9)
     patch(VolumeStage, "loss", interrupted)
