@@ -95,14 +95,14 @@ def show(scene: Scene, count: int) -> None:
 def crop_costs(weights: str, batches: tuple[int, ...], repeats: int, seed: int) -> list[Record]:
     """The 2D network and its votes, as the estimator asks them, for each crop of a batch."""
     from ..pose_estimator import load
-    from ..pose_estimator.inference import Encode, Inference
+    from ..pose_estimator.inference import Inference
 
     networks = load("mid", weights).networks
     side = networks.features.config.crop
     rng = np.random.default_rng(seed)
-    ask = Inference(networks).ask
+    encode = Inference(networks).encode
     asked = [
-        partial(ask, Encode(rng.integers(0, 256, (batch, side, side, 3), dtype=np.uint8), 0))
+        partial(encode, [(rng.integers(0, 256, (batch, side, side, 3), dtype=np.uint8), 0)])
         for batch in batches
     ]
     return _by_batch("2D network and votes", batches, in_turn(asked, repeats))

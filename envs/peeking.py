@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from ..pose_estimator.batching import estimate_all
 from .base import ViewSelectionEnv
 from .episode import Episode
 from .observation import Observation
-from .protocol import estimate_all
 
 _PEEKED_TOGETHER = 8
 """Second views that are estimated together; more are no quicker."""

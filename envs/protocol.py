@@ -36,16 +36,6 @@ class PoseEstimator(Protocol):
         ...
 
 
-def estimate_all(
-    estimator: PoseEstimator, requests: Sequence[tuple[Sequence[View], str]]
-) -> list[PoseEstimate]:
-    """The answer to each of several (views, object name): all at once if the estimator can."""
-    batch = getattr(estimator, "estimate_batch", None)
-    if batch is not None:
-        return list(batch(list(requests)))
-    return [estimator.estimate(views, name) for views, name in requests]
-
-
 @cache
 def _load(method: str) -> PoseEstimator:
     """Loads shipped weights once a process, for all its environments."""

@@ -19,6 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 from ..assets import load_objects
+from ..pose_estimator.batching import estimate_all
 from ..pose_estimator.bop import BopImage, read_dataset, read_rgb
 from ..pose_estimator.bop_objects import dataset_objects, has_models
 from ..pose_estimator.bop_pairs import turned_round
@@ -157,10 +158,11 @@ class _RealRecorder:
         cameras = {i: T_second_ref @ T_ref_world for i, T_second_ref in seconds.items()}
         slots = self._slots(cameras, centre, place)
         outcomes, errors, seen = {}, {}, {}
-        for image_id in sorted(set(slots)):
+        chosen = sorted(set(slots))
+        views = [View(read_rgb(others[i]), others[i].K, cameras[i]) for i in chosen]
+        estimates = estimate_all(self._estimator, [((reference, view), name) for view in views])
+        for image_id, estimate in zip(chosen, estimates, strict=True):
             second = others[image_id]
-            view = View(read_rgb(second), second.K, cameras[image_id])
-            estimate = self._estimator.estimate((reference, view), name)
             travel = camera_centre(cameras[image_id]) - camera_centre(T_ref_world)
             observation = observe(estimate, cameras[image_id])
             outcomes[image_id] = (

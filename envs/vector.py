@@ -6,7 +6,6 @@ episodes of one step want: an environment that resets in the next would waste ha
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
@@ -15,10 +14,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
 
+from ..pose_estimator.batching import estimate_all
 from ..pose_estimator.cores import available_cores
 from ..pose_estimator.estimate import PoseEstimate
+from ..pose_estimator.thread_pools import single_core_threads
 from .base import ViewSelectionEnv
-from .protocol import PoseEstimator, estimate_all, resolve_estimator
+from .protocol import PoseEstimator, resolve_estimator
 from .studio import LocalStudio, SceneOrder, StudioConfig
 from .studio_workers import RemoteStudio, StudioWorkers
 from .two_view_pose import TwoViewPoseDiscreteEnv, TwoViewPoseEnv
@@ -86,11 +87,11 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
             return made
 
         self._estimator = resolve_estimator(kwargs.pop("estimator", "mid"))
-        # Answers of an estimator that bears it are found in two threads, which keeps both busy
-        # where one alone would wait for pictures or for Python.
+        # An estimator that bears it is asked from two threads: while one computes between the
+        # networks, which Python does on one core, the networks run for the other.
         crews = min(2, num_envs) if getattr(self._estimator, "thread_safe", False) else 1
         self._crews = [list(part) for part in np.array_split(range(num_envs), crews)]
-        self._pool = _thread_pool(crews)
+        self._pool = single_core_threads(crews) if crews > 1 else ThreadPoolExecutor(1)
         self.envs = [
             kind(estimator=self._estimator, studio=studio, **kwargs) for _ in range(num_envs)
         ]
@@ -239,25 +240,6 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
         if estimates is not None:
             for lane, estimate in zip(lanes, estimates.result(), strict=True):
                 self.envs[lane].learn(estimate)
-
-
-def _thread_pool(threads: int) -> ThreadPoolExecutor:
-    """Threads for an estimator; where there are several, torch uses one core in each."""
-    pool = ThreadPoolExecutor(threads, "estimator")
-    if threads > 1:
-        import torch  # the estimator is there, so torch is
-
-        before = torch.get_num_threads()
-        together = threading.Barrier(threads)
-
-        def alone() -> None:
-            torch.set_num_threads(1)  # of this thread, and of those that will be started
-            together.wait()
-
-        for started in [pool.submit(alone) for _ in range(threads)]:
-            started.result()
-        torch.set_num_threads(before)
-    return pool
 
 
 class _LateStudio(LocalStudio):

@@ -9,6 +9,7 @@ reference view can see.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,12 +17,12 @@ import torch
 
 from ..assets.object_model import ObjectModel
 from .agreement import agree, joint_pose
-from .cascade import CascadeViews, DepthOutput
+from .cascade import CascadeViews
 from .estimate import PoseEstimate
 from .frontend import EncodedView
 from .geometry import grid_matrix, invert, transform
-from .inference import Run
-from .two_view import TwoViewEstimator
+from .inference import as_array
+from .two_view import Sighting, TwoViewEstimator
 
 _LEAST_MASK = 0.5
 """Probability of the object from which a pixel's depth is read."""
@@ -40,63 +41,91 @@ _FOOTPRINT = 0.03
 """Radius in diameters of the spot of surface that is taken to lie in front of a keypoint."""
 
 
+class DepthMap(NamedTuple):
+    """The depth of a crop.
+
+    Attributes:
+        depth: (H, W), m.
+        variance: of the depths, (H, W), m^2.
+        stride: pixels of the crop per pixel of the map.
+    """
+
+    depth: np.ndarray
+    variance: np.ndarray
+    stride: int
+
+
 class EarlyFusionEstimator(TwoViewEstimator):
     """Early Fusion: views meet in a cascade cost volume, the votes are the reference view's."""
 
-    def fuse(
-        self, encoded: Sequence[EncodedView], object_name: str, first: PoseEstimate
-    ) -> PoseEstimate:
-        model, reference = self.networks.objects[object_name], encoded[0]
-        agreed, points = agree(encoded, model)
-        centre = transform(joint_pose(agreed, points, model, first), model.keypoints[-1])
-        found = self.depth_map(encoded, float(centre[2]), model.diameter)
+    def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
+        sweeps = []
+        for sighting in sightings:
+            model = self.networks.objects[sighting.object_name]
+            agreed, points = agree(sighting.encoded, model)
+            joint = joint_pose(agreed, points, model, sighting.first)
+            center = transform(joint, model.keypoints[-1])
+            sweeps.append((sighting.encoded, float(center[2]), model.diameter))
+        maps = self.depth_maps(sweeps)
+        return [self._read(s, found) for s, found in zip(sightings, maps, strict=True)]
+
+    def depth_maps(
+        self, sweeps: Sequence[tuple[Sequence[EncodedView], float, float]]
+    ) -> list[DepthMap]:
+        """The depth of reference crops.
+
+        Args:
+            sweeps: of each two views or more, the reference first; the depth of the object's center
+                in the reference camera, m; and its diameter, m.
+
+        Returns:
+            What the last stage of the cascade says of each.
+        """
+
+        def look(sweeps: Sequence[tuple[Sequence[EncodedView], float, float]]) -> list[DepthMap]:
+            views = [self._cascade_views(encoded) for encoded, _, _ in sweeps]
+            levels = zip(*(v.maps for v in views), strict=True)
+            last = self.networks.cascade(
+                CascadeViews(
+                    maps=tuple(torch.cat(level) for level in levels),
+                    K=torch.cat([v.K for v in views]),
+                    T_view_ref=torch.cat([v.T_view_ref for v in views]),
+                ),
+                self.inference.tensor(np.array([guess for _, guess, _ in sweeps])),
+                self.inference.tensor(np.array([diameter for _, _, diameter in sweeps])),
+            )[-1]
+            parts = zip(as_array(last.depth), as_array(last.variance), strict=True)
+            return [DepthMap(depth, variance, last.stride) for depth, variance in parts]
+
+        return self.inference.in_batches(look, sweeps, lambda sweep: len(sweep[0]))
+
+    def _cascade_views(self, encoded: Sequence[EncodedView]) -> CascadeViews:
+        """What the views bring to the cascade, a batch of one."""
+        T_ref_world = invert(encoded[0].view.T_cam_world)
+        to_crop = np.linalg.inv(self._to_grid())
+        levels = zip(*(e.maps[:4] for e in encoded), strict=True)
+        poses = np.stack([e.view.T_cam_world @ T_ref_world for e in encoded])
+        return CascadeViews(
+            maps=tuple(torch.stack(level)[None] for level in levels),
+            K=self.inference.tensor(np.stack([to_crop @ e.K_grid for e in encoded])[None]),
+            T_view_ref=self.inference.tensor(poses[None]),
+        )
+
+    def _read(self, sighting: Sighting, found: DepthMap) -> PoseEstimate:
+        """The pose from a depth map, where the reference's votes are."""
+        model = self.networks.objects[sighting.object_name]
+        reference = sighting.encoded[0]
         to_map = grid_matrix(found.stride) @ np.linalg.inv(self._to_grid())
         K_map = to_map @ reference.K_grid
         A = to_map[:2, :2]
         votes = reference.vote_mean @ A.T + to_map[:2, 2]
         vote_covariance = A @ reference.vote_covariance @ A.T
         depth, variance = read_depth(
-            found.depth[0].double().numpy(),
-            found.variance[0].double().numpy(),
-            reference.mask,
-            votes,
-            vote_covariance,
-            K_map,
+            found.depth, found.variance, reference.mask, votes, vote_covariance, K_map
         )
-        variance = variance + behind_surface(model, first.T_cam_obj) ** 2
+        variance = variance + behind_surface(model, sighting.first.T_cam_obj) ** 2
         keypoints, covariance = back_project(votes, vote_covariance, depth, variance, K_map)
-        return self.answer(encoded, object_name, keypoints, covariance, weigh=True)
-
-    def depth_map(
-        self, encoded: Sequence[EncodedView], guess: float, diameter: float
-    ) -> DepthOutput:
-        """The depth of the reference's crop.
-
-        Args:
-            encoded: two views or more, the reference first.
-            guess: depth of the object's centre in the reference camera, m.
-            diameter: of the object, m.
-
-        Returns:
-            What the last stage of the cascade says, a batch of one.
-        """
-        T_ref_world = invert(encoded[0].view.T_cam_world)
-        to_crop = np.linalg.inv(self._to_grid())
-        levels = zip(*(e.maps[:4] for e in encoded), strict=True)
-        views = CascadeViews(
-            maps=tuple(torch.stack(level)[None] for level in levels),
-            K=torch.from_numpy(np.stack([to_crop @ e.K_grid for e in encoded])).float()[None],
-            T_view_ref=torch.from_numpy(
-                np.stack([e.view.T_cam_world @ T_ref_world for e in encoded])
-            ).float()[None],
-        )
-        centre, size = torch.tensor([guess]), torch.tensor([diameter])
-
-        def look_for_depth() -> DepthOutput:
-            with self.inference.autocast():
-                return self.networks.cascade(views, centre, size)[-1]
-
-        return self.ask(Run(look_for_depth))
+        return self.answer(sighting, keypoints, covariance, weigh=True)
 
     def _to_grid(self) -> np.ndarray:
         return grid_matrix(self.networks.features.config.stride)

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from .crops import warp_crop
 from .detector import decode, decode_peaks, detector_input
 from .estimate import Roi
 from .geometry import View, crop_matrix, grid_matrix, turn_matrix
-from .inference import Ask, Detect, Encode, EncodedCrops, Inference
+from .inference import EncodedCrop, Inference
 from .joint_detection import choose_together, sizes_together
 from .networks import PoseNetworks
 from .recently_used import RecentlyUsed
 
-CACHED_VIEWS = 4
-"""Views of one estimate at a time that are remembered."""
+_CACHED_VIEWS = 4
+"""Views that are remembered at least."""
 
 _TURNS = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5)
 """Turns in radians of the crops that are tried where the upright one is not sure."""
@@ -89,7 +87,7 @@ class DetectorMaps(NamedTuple):
     Attributes:
         logits: (N, 30, 40) of each object's heat map.
         regression: (N, 3, 30, 40), see ``Detector.forward``.
-        to_image: (3, 3), from the detector's input to the picture.
+        to_image: (3, 3), from the detector's input to pixels of the image.
     """
 
     logits: np.ndarray
@@ -97,75 +95,139 @@ class DetectorMaps(NamedTuple):
     to_image: np.ndarray
 
 
+class Target(NamedTuple):
+    """An object to be found in a view.
+
+    Attributes:
+        view: image and camera.
+        index: which object, in the networks' order.
+        roi: where it is; None: where the detector says.
+    """
+
+    view: View
+    index: int
+    roi: Roi | None = None
+
+
 class Frontend:
     """Runs the 2D networks; remembers the views used last, so that a reference is encoded once.
 
     Args:
         networks: in evaluation mode.
-        ask: what the networks are asked with; None asks them at once.
+        inference: runs them; None: with as many threads as there are cores.
     """
 
-    def __init__(self, networks: PoseNetworks, ask: Ask | None = None) -> None:
+    def __init__(self, networks: PoseNetworks, inference: Inference | None = None) -> None:
         self.networks = networks
-        self.encoded: RecentlyUsed[EncodedView] = RecentlyUsed(CACHED_VIEWS)
-        self.detected: RecentlyUsed[DetectorMaps] = RecentlyUsed(CACHED_VIEWS)
-        self._ask = Inference(networks).ask if ask is None else ask
+        self.encoded: RecentlyUsed[EncodedView] = RecentlyUsed(_CACHED_VIEWS)
+        self.detected: RecentlyUsed[DetectorMaps] = RecentlyUsed(_CACHED_VIEWS)
+        self._inference = Inference(networks) if inference is None else inference
 
-    def asking(self, ask: Ask) -> Frontend:
-        """This one, which remembers the same views but asks in another way."""
-        other = copy(self)
-        other._ask = ask
-        return other
-
-    def encode(self, view: View, index: int, roi: Roi | None = None) -> EncodedView:
-        """Finds an object in a view and votes for its keypoints.
+    def encode(self, targets: Sequence[Target]) -> list[EncodedView]:
+        """Finds objects in views and votes for their keypoints.
 
         The network knows objects as cameras see them that are held about level. Where its votes do
         not agree, the crop is turned, and the turn with the surest votes is taken.
-
-        Args:
-            view: picture and camera.
-            index: which object, in the networks' order.
-            roi: a region of interest from elsewhere, instead of the detector's.
         """
-        known = self.encoded.get(view, index) if roi is None else None
-        if known is not None:
-            return known
-        region = roi or self.detect(view, index)
-        [encoded] = self.encode_turned(view, index, region, (0.0,))
-        if encoded.vote_score.mean() < _SURE:
-            turned = self.encode_turned(view, index, region, _TURNS)
-            surest = max(turned, key=lambda e: float(e.vote_score.mean()))
-            if surest.vote_score.mean() > encoded.vote_score.mean() + _SURER:
-                encoded = surest
-        if roi is None:
-            self.encoded.put(view, index, encoded)
-        return encoded
+        self._remember(len(targets))
+        found: list[EncodedView | None] = [
+            self.encoded.get(t.view, t.index) if t.roi is None else None for t in targets
+        ]
+        # A view that is asked for twice, as a reference of several pairs, is encoded once.
+        missing: dict[tuple[int, int, int], list[int]] = {}
+        for number, target in enumerate(targets):
+            if found[number] is None:
+                known = -1 if target.roi is None else number
+                missing.setdefault((id(target.view), target.index, known), []).append(number)
+        first = [targets[numbers[0]] for numbers in missing.values()]
+        maps = iter(self.detector_maps([t.view for t in first if t.roi is None]))
+        located = [
+            t if t.roi is not None else t._replace(roi=self._best(next(maps), t.index))
+            for t in first
+        ]
+        upright = self._surest_turns(located)
+        for numbers, encoded in zip(missing.values(), upright, strict=True):
+            for number in numbers:
+                found[number] = encoded
+            target = targets[numbers[0]]
+            if target.roi is None:
+                self.encoded.put(target.view, target.index, encoded)
+        return [encoded for encoded in found if encoded is not None]
 
-    def detect(self, view: View, index: int) -> Roi:
-        """The region of interest of an object in a full frame."""
-        maps = self.detector_maps(view)
-        config = self.networks.detector.config
-        return decode(maps.logits[index], maps.regression[index], maps.to_image, config)
-
-    def regions(self, views: Sequence[View], index: int) -> list[Roi | None]:
-        """Where an object is in several full frames, found together.
+    def regions(self, requests: Sequence[tuple[Sequence[View], int]]) -> list[list[Roi | None]]:
+        """Where objects are in several full frames each, found together.
 
         Args:
-            views: the reference first; their cameras are known.
-            index: which object, in the networks' order.
+            requests: views, the reference first, whose cameras are known; and which object, in the
+                networks' order.
 
         Returns:
-            A region for each view; None where it is about the one that :meth:`detect` finds alone.
+            For each request a region for each view; None where it is about the one that the
+            detector finds there alone.
         """
+        every = [view for views, _ in requests for view in views]
+        self._remember(len(every))
+        maps = iter(self.detector_maps(every))
+        return [
+            self._regions(views, index, [next(maps) for _ in views]) for views, index in requests
+        ]
+
+    def detector_maps(self, views: Sequence[View]) -> list[DetectorMaps]:
+        """What the detector says of all objects in full frames; the last few are remembered."""
+        found = {id(view): self.detected.get(view) for view in views}
+        new = list({id(view): view for view in views if found[id(view)] is None}.values())
+        inputs = [detector_input(view.image, self.networks.detector.config) for view in new]
+        answers = self._inference.detect([small for small, _ in inputs])
+        for view, (_, to_image), answer in zip(new, inputs, answers, strict=True):
+            maps = DetectorMaps(*answer, to_image)
+            found[id(view)] = maps
+            self.detected.put(view, None, maps)
+        return [maps for view in views if (maps := found[id(view)]) is not None]
+
+    def encode_turned(
+        self, targets: Sequence[Target], turns: Sequence[Sequence[float]]
+    ) -> list[list[EncodedView]]:
+        """Votes in several crops of each region.
+
+        Args:
+            targets: with their regions.
+            turns: of each target: how far its crops are turned in the image plane, radians.
+        """
+        config = self.networks.features.config
+        matrices = []
+        for target, own in zip(targets, turns, strict=True):
+            assert target.roi is not None
+            upright = crop_matrix(target.roi.centre, target.roi.side, config.crop)
+            matrices.append([turn_matrix(turn, config.crop) @ upright for turn in own])
+        crops = [
+            (np.stack([warp_crop(t.view.image, A, config.crop) for A in to_crops]), t.index)
+            for t, to_crops in zip(targets, matrices, strict=True)
+        ]
+        found = self._inference.encode(crops)
+        return [
+            [self._encoded_view(target, *crop) for crop in zip(own, to_crops, encoded, strict=True)]
+            for target, own, to_crops, encoded in zip(targets, turns, matrices, found, strict=True)
+        ]
+
+    def _remember(self, views: int) -> None:
+        """Makes room for what one call asks for."""
+        for cache in (self.encoded, self.detected):
+            cache.most = max(cache.most, 2 * views)
+
+    def _best(self, maps: DetectorMaps, index: int) -> Roi:
+        """The region of an object in one frame."""
+        return decode(
+            maps.logits[index], maps.regression[index], maps.to_image, self.networks.detector.config
+        )
+
+    def _regions(
+        self, views: Sequence[View], index: int, maps: Sequence[DetectorMaps]
+    ) -> list[Roi | None]:
         config = self.networks.detector.config
         model = list(self.networks.objects.values())[index]
-        candidates = []
-        for view in views:
-            maps = self.detector_maps(view)
-            candidates.append(
-                decode_peaks(maps.logits[index], maps.regression[index], maps.to_image, config)
-            )
+        candidates = [
+            decode_peaks(m.logits[index], m.regression[index], m.to_image, config) for m in maps
+        ]
         scale = self.networks.features.config.roi_scale
         chosen = choose_together(candidates, views, model.diameter, scale)
         found = [regions[number] for regions, number in zip(candidates, chosen, strict=True)]
@@ -175,52 +237,36 @@ class Frontend:
             for number, old, new in zip(chosen, found, sized, strict=True)
         ]
 
-    def detector_maps(self, view: View) -> DetectorMaps:
-        """What the detector says of all objects in a full frame; the last few are remembered."""
-        found = self.detected.get(view)
-        if found is None:
-            small, to_image = detector_input(view.image, self.networks.detector.config)
-            logits, regression = self._ask(Detect(small))
-            found = DetectorMaps(logits, regression, to_image)
-            self.detected.put(view, None, found)
-        return found
-
-    def encode_turned(
-        self, view: View, index: int, roi: Roi, turns: Sequence[float]
-    ) -> list[EncodedView]:
-        """Votes in several crops of one region, as one batch.
-
-        Args:
-            view: picture and camera.
-            index: which object, in the networks' order.
-            roi: where it is.
-            turns: how far each crop is turned in the plane of the picture, radians.
-        """
-        config = self.networks.features.config
-        upright = crop_matrix(roi.centre, roi.side, config.crop)
-        to_crops = [turn_matrix(turn, config.crop) @ upright for turn in turns]
-        crops = np.stack([warp_crop(view.image, A, config.crop) for A in to_crops])
-        found: EncodedCrops = self._ask(Encode(crops, index))
-        encoded = []
-        for n, (to_crop, turn) in enumerate(zip(to_crops, turns, strict=True)):
-            to_grid = grid_matrix(config.stride) @ to_crop
-            encoded.append(
-                EncodedView(
-                    view=view,
-                    roi=roi,
-                    K_grid=to_grid @ view.K,
-                    to_image=np.linalg.inv(to_grid),
-                    volume=found.features.volume[n].float(),
-                    vote_mean=found.mean[n],
-                    vote_covariance=found.covariance[n],
-                    vote_score=found.score[n],
-                    mask=torch.sigmoid(found.features.mask_logits[n].float()).numpy(),
-                    decoder=found.features.decoder[n],
-                    maps=tuple(level[n] for level in found.pyramid),
-                    turn=turn,
-                )
-            )
+    def _surest_turns(self, targets: Sequence[Target]) -> list[EncodedView]:
+        """Encodes regions upright, and turned where that makes the votes agree more."""
+        encoded = [only for [only] in self.encode_turned(targets, [(0.0,)] * len(targets))]
+        unsure = [n for n, e in enumerate(encoded) if e.vote_score.mean() < _SURE]
+        tried = self.encode_turned([targets[n] for n in unsure], [_TURNS] * len(unsure))
+        for n, turned in zip(unsure, tried, strict=True):
+            surest = max(turned, key=lambda e: float(e.vote_score.mean()))
+            if surest.vote_score.mean() > encoded[n].vote_score.mean() + _SURER:
+                encoded[n] = surest
         return encoded
+
+    def _encoded_view(
+        self, target: Target, turn: float, to_crop: np.ndarray, crop: EncodedCrop
+    ) -> EncodedView:
+        assert target.roi is not None
+        to_grid = grid_matrix(self.networks.features.config.stride) @ to_crop
+        return EncodedView(
+            view=target.view,
+            roi=target.roi,
+            K_grid=to_grid @ target.view.K,
+            to_image=np.linalg.inv(to_grid),
+            volume=crop.volume,
+            vote_mean=crop.mean,
+            vote_covariance=crop.covariance,
+            vote_score=crop.score,
+            mask=crop.mask,
+            decoder=crop.decoder,
+            maps=crop.pyramid,
+            turn=turn,
+        )
 
 
 def merge_votes(

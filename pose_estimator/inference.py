@@ -1,200 +1,248 @@
-"""The networks as estimators run them: questions in, answers out, several questions at once.
+"""The networks as estimators run them: lists in, lists out.
 
-An estimate is arithmetic between a few questions to the networks. Whoever puts them may be one
-estimate, which asks one question at a time, or many side by side (:mod:`lockstep`), whose questions
-of one kind are answered as one batch. An answer does not depend on what else is in its batch.
+On a processor every item of a list (a frame, a few crops of a view, a volume) is a batch of its
+own, which one thread takes through the whole network (``thread_pools.py``). Several items keep all
+cores busy; one alone gets the cores that are idle. Another batch size would round in another order:
+this way an answer is the same to the bit whatever else is in the list. On a GPU a list is one
+batch, and answers depend on it as far as rounding goes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from itertools import islice
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from .cores import available_cores, idle_cores
 from .device import uses_bfloat16
 from .features import Features2D
 from .fused import fused
 from .networks import PoseNetworks
-from .volume import LevelOutput, ViewMaps
+from .thread_pools import shared_pool
+from .volume import ViewMaps
 from .voting import vote_keypoints
 
-_CROPS_AT_ONCE = 12
-"""Crops from which on a batch gets no quicker for each."""
+_CROPS = 3
+"""Crops of a view that a core takes at once: with fewer it is slower for each, with more hardly
+quicker, and other cores have nothing to do."""
 
-Question = Any
-"""A :class:`Detect`, :class:`Encode`, :class:`Fuse` or :class:`Run`."""
+_CORES = 8
+"""Cores at most for an item that is alone: with more, answers were no longer the same to the bit."""
 
-Ask = Callable[[Question], Any]
-"""Puts a question and waits for its answer."""
+_GPU_ITEMS = 64
+"""Items of a batch on a GPU: enough to fill it, and a bound on its memory."""
 
-
-@dataclass(frozen=True, eq=False)
-class Detect:
-    """Where might objects be in a picture? Answered by heat map and regression of all objects,
-    (N, 30, 40) and (N, 3, 30, 40) float32 (see ``Detector.forward``).
-
-    Attributes:
-        picture: the detector's input, (240, 320, 3) uint8.
-    """
-
-    picture: np.ndarray
+_Item = TypeVar("_Item")
+_Answer = TypeVar("_Answer")
 
 
-@dataclass(frozen=True, eq=False)
-class Encode:
-    """What do crops show of an object? Answered by :class:`EncodedCrops`.
+class EncodedCrop(NamedTuple):
+    """What a crop shows of an object.
 
     Attributes:
-        crops: (n, S, S, 3) uint8.
-        index: which object, in the networks' order.
+        volume: features for the volume, (C, G, G).
+        decoder: the 2D network's last map, (W, G, G).
+        pyramid: the encoder's maps at strides 2 to 32, (C, s, s) each.
+        mean: voted keypoints, (9, 2), pixels of the feature grid.
+        covariance: theirs, (9, 2, 2).
+        score: share of the object's pixels that agree, (9,).
+        mask: probability of the visible object, (G, G).
     """
 
-    crops: np.ndarray
-    index: int
-
-
-@dataclass(frozen=True, eq=False)
-class Fuse:
-    """Where are the keypoints in a volume? Answered by its fine level, a batch of one.
-
-    Attributes:
-        views: what the views bring, a batch of one.
-        guess: the object's centre in the reference camera, (3,) metres.
-        diameter: of the object, metres.
-    """
-
-    views: ViewMaps
-    guess: np.ndarray
-    diameter: float
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """Anything else that needs the networks; answered by what it returns.
-
-    Attributes:
-        work: is called under inference mode.
-    """
-
-    work: Callable[[], Any]
-
-
-class EncodedCrops(NamedTuple):
-    """What n crops show.
-
-    Attributes:
-        features: the 2D network's output, n crops.
-        pyramid: the encoder's maps at strides 2 to 32, (n, C, s, s) each.
-        mean: voted keypoints, (n, 9, 2), pixels of the feature grid.
-        covariance: theirs, (n, 9, 2, 2).
-        score: share of the object's pixels that agree, (n, 9).
-    """
-
-    features: Features2D
+    volume: Tensor
+    decoder: Tensor
     pyramid: tuple[Tensor, ...]
     mean: np.ndarray
     covariance: np.ndarray
     score: np.ndarray
+    mask: np.ndarray
 
 
 class Inference:
-    """Answers questions with one set of networks.
+    """Runs one set of networks.
 
     Args:
-        networks: in evaluation mode. Their weights are read when they are first asked.
+        networks: in evaluation mode, on the device that is to be used. Their weights are read when
+            they are first run.
+        threads: of the processor; 0: as many as there are cores. On a GPU they are not used.
     """
 
-    def __init__(self, networks: PoseNetworks) -> None:
+    def __init__(self, networks: PoseNetworks, threads: int = 0) -> None:
         self.networks = networks
         self.device = networks.device
         self.bfloat16 = uses_bfloat16(self.device)
+        self.threads = threads or available_cores()
         self._quick: dict[str, tuple[nn.Module, nn.Module]] = {}
 
-    def ask(self, question: Question) -> Any:
-        """Answers one question."""
-        return self.answer([question])[0]
+    def detect(self, frames: Sequence[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Where might objects be?
 
-    @torch.inference_mode()
-    def answer(self, questions: Sequence[Question]) -> list[Any]:
-        """Answers several questions, those of one kind together."""
-        answers: list[Any] = [None] * len(questions)
-        kinds: dict[Any, list[int]] = {}
-        for number, question in enumerate(questions):
-            kinds.setdefault(self._kind(question, number), []).append(number)
-        for (kind, *_), numbers in kinds.items():
-            found = self._together(kind, [questions[n] for n in numbers])
-            for number, answer in zip(numbers, found, strict=True):
-                answers[number] = answer
-        return answers
+        Args:
+            frames: the detector's inputs, (240, 320, 3) uint8 each.
 
-    def autocast(self) -> torch.autocast:
-        """bfloat16 where the device is fast at it."""
-        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16)
+        Returns:
+            For each the heat map and regression of all objects, (N, 30, 40) and (N, 3, 30, 40)
+            float32; see ``Detector.forward``.
+        """
+        network = self.network("detector")
 
-    def _network(self, part: str) -> Any:
+        def detect(frames: Sequence[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+            logits, regression = (
+                part.float().cpu().numpy() for part in network(self._images(frames))
+            )
+            return list(zip(logits, regression, strict=True))
+
+        return self.in_batches(detect, frames)
+
+    def encode(self, crops: Sequence[tuple[np.ndarray, int]]) -> list[list[EncodedCrop]]:
+        """What do crops show of objects?
+
+        Args:
+            crops: of each view (n, S, S, 3) uint8, and which object is asked for, in the networks'
+                order.
+
+        Returns:
+            For each view what each crop shows; maps stay on the device.
+        """
+        network = self.network("features")
+        parts = [
+            (own[start : start + _CROPS], index)
+            for own, index in crops
+            for start in range(0, len(own), _CROPS)
+        ]
+
+        def encode(crops: Sequence[tuple[np.ndarray, int]]) -> list[list[EncodedCrop]]:
+            pyramid = network.encoder.pyramid(self._images([c for own, _ in crops for c in own]))
+            objects = [index for own, index in crops for _ in own]
+            features = network.decode(pyramid, torch.tensor(objects, device=self.device))
+            volume = features.volume.float()
+            votes = [as_array(part) for part in vote(features)]
+            mask = torch.sigmoid(features.mask_logits.float()).cpu().numpy()
+            found = iter(
+                EncodedCrop(
+                    volume[n],
+                    features.decoder[n],
+                    tuple(level[n] for level in pyramid),
+                    *(part[n] for part in votes),
+                    mask[n],
+                )
+                for n in range(len(objects))
+            )
+            return [list(islice(found, len(own))) for own, _ in crops]
+
+        encoded = (crop for part in self.in_batches(encode, parts) for crop in part)
+        return [list(islice(encoded, len(own))) for own, _ in crops]
+
+    def fuse(
+        self, volumes: Sequence[tuple[ViewMaps, np.ndarray, float]]
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Where are keypoints in volumes?
+
+        Args:
+            volumes: what the views bring (a batch of one), the guess of the object's center in the
+                reference camera, (3,) m, and its diameter, m.
+
+        Returns:
+            For each the fine level's keypoints (9, 3) in the reference camera, m, and their
+            covariances (9, 3, 3), m^2.
+        """
+        network = self.network("volume")
+
+        def fuse(
+            volumes: Sequence[tuple[ViewMaps, np.ndarray, float]],
+        ) -> list[tuple[np.ndarray, np.ndarray]]:
+            maps, guesses, diameters = zip(*volumes, strict=True)
+            fine = network(
+                ViewMaps(*(torch.cat(part) for part in zip(*maps, strict=True))),
+                self.tensor(np.stack(guesses)),
+                self.tensor(np.array(diameters)),
+            )[-1]
+            return list(zip(as_array(fine.keypoints), as_array(fine.covariance), strict=True))
+
+        config = self.networks.volume.config
+        # Volumes whose voxels have a size of their own are as large as their object.
+        alike = None not in (config.coarse.cells, config.fine.cells)
+        return self.in_batches(
+            fuse, volumes, lambda volume: (volume[0].features.shape[1], 0 if alike else volume[2])
+        )
+
+    def in_batches(
+        self,
+        work: Callable[[Sequence[_Item]], list[_Answer]],
+        items: Sequence[_Item],
+        key: Callable[[_Item], Any] = lambda item: 0,
+    ) -> list[_Answer]:
+        """Runs networks on a list, under autocast: item by item on a processor, else in batches.
+
+        Args:
+            work: answers a batch.
+            items: the list.
+            key: items of one batch have the same.
+
+        Returns:
+            The answers in the list's order.
+        """
+
+        @torch.inference_mode()
+        def run(batch: Sequence[_Item]) -> list[_Answer]:
+            with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16):
+                return work(batch)
+
+        if self.device.type == "cpu":
+            if len(items) == 1 and self._has_cores():
+                return run(items)
+            each = shared_pool(self.threads).map(run, [[item] for item in items])
+            return [answer for [answer] in each]
+        groups: dict[Any, list[int]] = {}
+        for number, item in enumerate(items):
+            groups.setdefault(key(item), []).append(number)
+        answers: dict[int, _Answer] = {}
+        for numbers in groups.values():
+            for start in range(0, len(numbers), _GPU_ITEMS):
+                some = numbers[start : start + _GPU_ITEMS]
+                answers |= zip(some, run([items[n] for n in some]), strict=True)
+        return [answers[n] for n in range(len(items))]
+
+    def _has_cores(self) -> bool:
+        """Whether torch, as this thread has it, may share one item's work among idle cores."""
+        cores = torch.get_num_threads()
+        return 1 < cores <= min(self.threads, _CORES) and cores <= idle_cores()
+
+    def tensor(self, array: np.ndarray) -> Tensor:
+        """An array as float32 on the networks' device."""
+        return torch.from_numpy(array).to(self.device, torch.float32)
+
+    def network(self, part: str) -> Any:
         """A part of the networks as it runs quickest; made when it is first needed."""
         module = getattr(self.networks, part)
+        if self.device.type != "cpu":
+            return module
         known = self._quick.get(part)
         if known is None or known[0] is not module:
             quick = fused(module, torch.bfloat16 if self.bfloat16 else torch.float32)
             known = self._quick[part] = module, quick
         return known[1]
 
-    def _kind(self, question: Question, number: int) -> tuple[Any, ...]:
-        """What questions must have in common to be answered together."""
-        if isinstance(question, Fuse):
-            config = self.networks.volume.config
-            alike = None not in (config.coarse.cells, config.fine.cells)
-            # Volumes whose voxels have a size of their own are as large as their object.
-            return Fuse, question.views.features.shape[1:], alike or number
-        return (Run, number) if isinstance(question, Run) else (type(question),)
+    def _images(self, images: Sequence[np.ndarray]) -> Tensor:
+        """Images (H, W, 3) uint8 as a batch (B, 3, H, W) float32, channels last."""
+        batch = torch.from_numpy(np.stack(images)).to(self.device).permute(0, 3, 1, 2)
+        return batch.float().contiguous(memory_format=torch.channels_last)
 
-    def _together(self, kind: type, questions: Sequence[Question]) -> Sequence[Any]:
-        if kind is Run:
-            return [question.work() for question in questions]
-        with self.autocast():
-            if kind is Detect:
-                return self._detect(questions)
-            return self._encode(questions) if kind is Encode else self._fuse(questions)
 
-    def _detect(self, questions: Sequence[Detect]) -> list[tuple[np.ndarray, np.ndarray]]:
-        logits, regression = self._network("detector")(_pictures([q.picture for q in questions]))
-        return list(zip(logits.float().numpy(), regression.float().numpy(), strict=True))
-
-    def _encode(self, questions: Sequence[Encode]) -> list[EncodedCrops]:
-        answers: list[EncodedCrops] = []
-        for few in _portions(questions):
-            counts = [len(q.crops) for q in few]
-            crops = _pictures([crop for q in few for crop in q.crops])
-            network = self._network("features")
-            pyramid = network.encoder.pyramid(crops)
-            objects = torch.tensor([q.index for q in few for _ in q.crops])
-            features = network.decode(pyramid, objects)
-            for count, end in zip(counts, np.cumsum(counts), strict=True):
-                own = Features2D(*(part[end - count : end] for part in features))
-                levels = tuple(level[end - count : end] for level in pyramid)
-                votes = (part.double().numpy() for part in vote(own))
-                answers.append(EncodedCrops(own, levels, *votes))
-        return answers
-
-    def _fuse(self, questions: Sequence[Fuse]) -> list[LevelOutput]:
-        parts = zip(*(question.views for question in questions), strict=True)
-        views = ViewMaps(*(torch.cat(part) for part in parts))
-        guesses = torch.from_numpy(np.stack([q.guess for q in questions])).float()
-        diameters = torch.tensor([q.diameter for q in questions], dtype=torch.float32)
-        fine = self._network("volume")(views, guesses, diameters)[-1]
-        return [LevelOutput(*(part[n : n + 1] for part in fine)) for n in range(len(questions))]
+def as_array(tensor: Tensor) -> np.ndarray:
+    """A tensor as a float64 array."""
+    return tensor.double().cpu().numpy()
 
 
 def vote(features: Features2D) -> tuple[Tensor, Tensor, Tensor]:
     """Votes for the keypoints of B crops.
 
-    A pixel's say is its probability to be on the object times how sure its vector is: vectors are
-    trained to unit length, and shrink where the network hesitates between directions.
+    A pixel's weight is its probability to be on the object times how sure its vector is: vectors
+    are trained to unit length, and shrink where the network hesitates between directions.
 
     Returns:
         mean (B, 9, 2), covariance (B, 9, 2, 2) in pixels of the feature grid, and score (B, 9).
@@ -206,21 +254,3 @@ def vote(features: Features2D) -> tuple[Tensor, Tensor, Tensor]:
     inside = torch.where(inside > 0.3, inside, torch.zeros_like(inside))
     votes = vote_keypoints(directions, inside[:, None] * sure)
     return votes.mean, votes.covariance, votes.score
-
-
-def _portions(questions: Sequence[Encode]) -> Iterator[list[Encode]]:
-    """Questions a few at a time, so that what is computed of their crops stays in the cache."""
-    few: list[Encode] = []
-    for question in questions:
-        few.append(question)
-        if sum(len(q.crops) for q in few) >= _CROPS_AT_ONCE:
-            yield few
-            few = []
-    if few:
-        yield few
-
-
-def _pictures(pictures: Sequence[np.ndarray]) -> Tensor:
-    """Pictures (H, W, 3) uint8 as a batch (B, 3, H, W) float32, channels last."""
-    batch = torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2)
-    return batch.float().contiguous(memory_format=torch.channels_last)

@@ -8,23 +8,22 @@ import numpy as np
 
 from .agreement import agree
 from .estimate import PoseEstimate
-from .frontend import EncodedView
 from .linear_triangulation import triangulate_linearly
-from .two_view import TwoViewEstimator
+from .two_view import Sighting, TwoViewEstimator
 
 
 class LateFusionEstimator(TwoViewEstimator):
     """Late Fusion: the views meet only in the triangulation of their voted keypoints."""
 
-    def fuse(
-        self, encoded: Sequence[EncodedView], object_name: str, first: PoseEstimate
-    ) -> PoseEstimate:
-        model = self.networks.objects[object_name]
-        agreed, _ = agree(encoded, model)
+    def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
+        return [self._triangulated(sighting) for sighting in sightings]
+
+    def _triangulated(self, sighting: Sighting) -> PoseEstimate:
+        agreed, _ = agree(sighting.encoded, self.networks.objects[sighting.object_name])
         keypoints, covariance = triangulate_linearly(
             np.stack([e.vote_mean for e in agreed]),
             np.stack([e.vote_covariance for e in agreed]),
             [e.K_grid for e in agreed],
             [e.view.T_cam_world for e in agreed],
         )
-        return self.answer(encoded, object_name, keypoints, covariance, weigh=True)
+        return self.answer(sighting, keypoints, covariance, weigh=True)

@@ -16,10 +16,9 @@ from .agreement import agree, believable, explain, joint_pose
 from .estimate import PoseEstimate
 from .frontend import EncodedView
 from .geometry import invert, transform
-from .inference import Fuse
 from .multi_view_pnp import SpacePoints
-from .two_view import TwoViewEstimator
-from .volume import LevelOutput, ViewMaps
+from .two_view import Sighting, TwoViewEstimator
+from .volume import ViewMaps
 
 _LEAST_DEVIATION = 0.02
 """Standard deviation in diameters that the volume's keypoints are believed at best."""
@@ -28,31 +27,56 @@ _LEAST_DEVIATION = 0.02
 class MidFusionEstimator(TwoViewEstimator):
     """Mid-Fusion: every view's features, lifted into one volume around the object."""
 
-    def fuse(
-        self, encoded: Sequence[EncodedView], object_name: str, first: PoseEstimate
-    ) -> PoseEstimate:
-        model = self.networks.objects[object_name]
-        agreed, points = agree(encoded, model)
-        joint = joint_pose(agreed, points, model, first)
-        guess = transform(joint, model.keypoints[-1])
-        T_ref_world = invert(encoded[0].view.T_cam_world)
+    def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
+        volumes, before = [], []
+        for sighting in sightings:
+            model = self.networks.objects[sighting.object_name]
+            agreed, points = agree(sighting.encoded, model)
+            joint = joint_pose(agreed, points, model, sighting.first)
+            before.append((agreed, joint))
+            guess = transform(joint, model.keypoints[-1])
+            volumes.append((self._maps(agreed), guess, model.diameter))
+        found = self.inference.fuse(volumes)
+        return [
+            self._refined(sighting, *known, *keypoints)
+            for sighting, known, keypoints in zip(sightings, before, found, strict=True)
+        ]
+
+    def _maps(self, agreed: Sequence[EncodedView]) -> ViewMaps:
+        """What the views bring to the volume, a batch of one."""
+        tensor = self.inference.tensor
+        T_ref_world = invert(agreed[0].view.T_cam_world)
         projections = [e.K_grid @ (e.view.T_cam_world @ T_ref_world)[:3] for e in agreed]
-        maps = ViewMaps(
+        return ViewMaps(
             features=torch.stack([e.volume for e in agreed])[None],
-            projection=torch.from_numpy(np.stack(projections)).float()[None],
-            vote_mean=torch.from_numpy(np.stack([e.vote_mean for e in agreed])).float()[None],
-            vote_covariance=torch.from_numpy(np.stack([e.vote_covariance for e in agreed])).float()[
-                None
-            ],
+            projection=tensor(np.stack(projections)[None]),
+            vote_mean=tensor(np.stack([e.vote_mean for e in agreed])[None]),
+            vote_covariance=tensor(np.stack([e.vote_covariance for e in agreed])[None]),
         )
-        fine: LevelOutput = self.ask(Fuse(maps, guess, model.diameter))
-        keypoints = fine.keypoints[0].double().numpy()
-        covariance = fine.covariance[0].double().numpy()
-        solved = self.answer(encoded, object_name, keypoints, covariance, weigh=False)
+
+    def _refined(
+        self,
+        sighting: Sighting,
+        agreed: Sequence[EncodedView],
+        joint: np.ndarray,
+        keypoints: np.ndarray,
+        covariance: np.ndarray,
+    ) -> PoseEstimate:
+        """The pose that explains the volume's keypoints and the votes.
+
+        Args:
+            sighting: the views as they voted.
+            agreed: the views, of one mind (see :func:`agree`).
+            joint: the pose (4, 4) from the votes alone.
+            keypoints: the volume's, (9, 3) in the reference camera, m.
+            covariance: theirs, (9, 3, 3).
+        """
+        model = self.networks.objects[sighting.object_name]
+        solved = self.answer(sighting, keypoints, covariance, weigh=False)
         floor = (_LEAST_DEVIATION * model.diameter) ** 2 * np.eye(3)
         found = SpacePoints(keypoints, covariance + floor)
         T = explain(agreed, model, [solved.T_cam_obj, joint], found)
-        if not believable(T, first, model):
+        if not believable(T, sighting.first, model):
             T = joint
         return replace(
             solved,

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from copy import copy
-from functools import partial
+from collections.abc import Sequence
 
 import numpy as np
 
 from ..assets.object_model import ObjectModel
 from .estimate import PoseEstimate, Roi, depth_of_roi
-from .frontend import CACHED_VIEWS, EncodedView, Frontend
+from .frontend import EncodedView, Frontend, Target
 from .geometry import View, make_transform, transform
-from .inference import Ask, Inference
-from .lockstep import in_lockstep
+from .inference import Inference
 from .networks import PoseNetworks
 from .pnp import PnpResult, keypoints_covariance, uncertainty_pnp
 from .solvers import check_solver
@@ -23,13 +20,18 @@ _FARTHEST_OFF = 2.0
 detector misjudges the size of a region by less than ten percent."""
 
 
+Request = tuple[Sequence[View], str]
+"""Views, the reference first, and the name of the object to look for."""
+
+
 class SingleViewEstimator:
     """Pose from the reference view alone; further views are ignored.
 
     Args:
-        networks: with their weights; set to evaluation mode.
+        networks: with their weights, on the device that is to be used; set to evaluation mode.
         solver: from 3D keypoints to the pose, one of ``solvers.SOLVERS``, for the estimators that
             have 3D keypoints; one view alone is solved by PnP.
+        threads: of the processor; 0: as many as there are cores.
 
     Raises:
         ValueError: if the solver is unknown.
@@ -38,12 +40,16 @@ class SingleViewEstimator:
     thread_safe = True
     """Several threads may ask at the same time."""
 
-    def __init__(self, networks: PoseNetworks, solver: str = "soft"):
+    def __init__(self, networks: PoseNetworks, solver: str = "soft", threads: int = 0):
         self.networks = networks.eval()
         self.solver = check_solver(solver)
-        self.inference = Inference(networks)
-        self.ask: Ask = self.inference.ask
-        self.frontend = Frontend(networks, self.ask)
+        self.inference = Inference(networks, threads)
+        self.frontend = Frontend(networks, self.inference)
+
+    @property
+    def batch_size(self) -> int:
+        """Requests at once from which on none gets quicker: they keep all cores, or a GPU, busy."""
+        return 8 if self.inference.device.type == "cpu" else 64
 
     @property
     def object_names(self) -> tuple[str, ...]:
@@ -53,7 +59,7 @@ class SingleViewEstimator:
     def estimate(
         self, views: Sequence[View], object_name: str, rois: Sequence[Roi] | None = None
     ) -> PoseEstimate:
-        """Estimates a pose.
+        """Estimates a pose: :meth:`estimate_batch` for one.
 
         Args:
             views: the reference view first.
@@ -68,35 +74,47 @@ class SingleViewEstimator:
             ValueError: if there is no view, the object is unknown, or there is not one region for
                 each view.
         """
-        reference = first_view(views)
-        roi = None if rois is None else check_rois(rois, views)[0]
-        encoded = self.frontend.encode(reference, self.index(object_name), roi=roi)
-        return self.from_one_view(encoded, object_name)
+        return self.estimate_batch([(views, object_name)], None if rois is None else [rois])[0]
 
-    def estimate_batch(self, requests: Sequence[tuple[Sequence[View], str]]) -> list[PoseEstimate]:
-        """Estimates several poses side by side, with the networks' work done together.
+    def estimate_batch(
+        self, requests: Sequence[Request], rois: Sequence[Sequence[Roi]] | None = None
+    ) -> list[PoseEstimate]:
+        """Estimates several poses, with the networks' work done in batches.
 
         Args:
-            requests: views and object name of each, as for :meth:`estimate`.
+            requests: views and object name of each.
+            rois: regions of each, see :meth:`estimate`.
 
         Returns:
-            What :meth:`estimate` answers to each of them.
+            For each request what :meth:`estimate` answers: on a processor to the bit, on a GPU but
+            for the rounding of another batch.
 
         Raises:
-            ValueError: as :meth:`estimate`.
+            ValueError: see :meth:`estimate`.
         """
-        for cache in (self.frontend.encoded, self.frontend.detected):
-            cache.most = max(cache.most, CACHED_VIEWS * len(requests))
-        tasks: list[Callable[[Ask], PoseEstimate]] = [
-            partial(self._estimate_asking, views, name) for views, name in requests
-        ]
-        return in_lockstep(tasks, self.inference.answer)
+        targets = [target for target, *_ in self.targets(requests, rois)]
+        encoded = self.frontend.encode(targets)
+        return [self.from_one_view(e, name) for e, (_, name) in zip(encoded, requests, strict=True)]
 
-    def _estimate_asking(self, views: Sequence[View], object_name: str, ask: Ask) -> PoseEstimate:
-        """:meth:`estimate`, whose questions to the networks are put by ``ask``."""
-        other = copy(self)
-        other.ask, other.frontend = ask, self.frontend.asking(ask)
-        return other.estimate(views, object_name)
+    def targets(
+        self, requests: Sequence[Request], rois: Sequence[Sequence[Roi]] | None
+    ) -> list[list[Target]]:
+        """What is to be found in each view of each request, where it is told.
+
+        Raises:
+            ValueError: see :meth:`estimate`.
+        """
+        targets = []
+        for number, (views, name) in enumerate(requests):
+            first_view(views)
+            regions: Sequence[Roi | None] = [None] * len(views)
+            if rois is not None:
+                regions = check_rois(rois[number], views)
+            index = self.index(name)
+            targets.append(
+                [Target(view, index, roi) for view, roi in zip(views, regions, strict=True)]
+            )
+        return targets
 
     def index(self, object_name: str) -> int:
         """Number of an object in the networks' order.

@@ -12,12 +12,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from ..assets.object_model import ObjectModel
-from .bop import BopDataset, BopImage, BopPair, read_dataset, read_depth, read_pairs, read_rgb
+from .batching import batch_size, estimate_all
+from .bop import (
+    BopAnnotation,
+    BopDataset,
+    BopImage,
+    BopPair,
+    read_dataset,
+    read_depth,
+    read_pairs,
+    read_rgb,
+)
 from .bop_pairs import PAIRS_FILE
 from .estimate import PoseEstimate
 from .geometry import View, transform
@@ -100,41 +110,67 @@ def run_unit(
     if not work:
         raise ValueError(f"the {unit.test} test has no pair for {unit.method}, gaps {unit.gaps}")
     done = {outcome.key for outcome in log.outcomes}
+    cases = [
+        (pair, name)
+        for pair, name in work
+        if (pair.scene_id, pair.ref_image_id, pair.second_image_id, name) not in done
+    ]
     answers = _Answers(estimator, unit)
-    scene_id, scene = -1, {}
-    bar = tqdm(work, desc=unit.name, unit="pair", disable=not progress)
-    for pair, name in bar:
-        key = (pair.scene_id, pair.ref_image_id, pair.second_image_id, name)
-        if key in done:
-            continue
-        if pair.scene_id != scene_id:
-            scene_id, scene = pair.scene_id, test.dataset.scene(pair.scene_id)
-        reference, second = scene[pair.ref_image_id], scene[pair.second_image_id]
-        obj_id = objects[name].obj_id
-        truth = reference.annotation(obj_id)
-        if truth is None or second.annotation(obj_id) is None:
-            continue
-        estimate, seconds = answers.get(reference, second, told_pose(unit, pair, seed), name)
-        assert pair.gap is not None
-        log.add(
-            [
-                PairOutcome(
-                    scene_id=pair.scene_id,
-                    ref_image_id=pair.ref_image_id,
-                    second_image_id=pair.second_image_id,
-                    object_name=name,
-                    gap=pair.gap,
-                    camera_distance=float(np.linalg.norm(truth.T_cam_obj[:3, 3])),
-                    visibility=truth.visibility,
-                    baseline=float(pair.baselines_deg.get(truth.obj_id, pair.baseline_deg)),
-                    seconds=seconds,
-                    **compare_with_truth(
-                        estimate, truth.T_cam_obj, objects[name], solvers=unit.method != "single"
-                    ),
-                )
-            ]
-        )
+    scenes = lru_cache(maxsize=2)(test.dataset.scene)
+    size = batch_size(estimator)
+    with tqdm(
+        total=len(work), initial=len(work) - len(cases), desc=unit.name, unit="pair",
+        disable=not progress,
+    ) as bar:  # fmt: skip
+        for start in range(0, len(cases), size):
+            few = cases[start : start + size]
+            asked = []
+            for pair, name in few:
+                scene = scenes(pair.scene_id)
+                reference, second = scene[pair.ref_image_id], scene[pair.second_image_id]
+                truth = reference.annotation(objects[name].obj_id)
+                if truth is not None and second.annotation(objects[name].obj_id) is not None:
+                    T_second_ref = told_pose(unit, pair, seed)
+                    asked.append(_Case(pair, name, reference, second, T_second_ref, truth))
+            found = answers.get(asked)
+            log.add(
+                [
+                    _outcome(case, *answer, objects[case.name], unit)
+                    for case, answer in zip(asked, found, strict=True)
+                ]
+            )
+            bar.update(len(few))
     return log.outcomes
+
+
+class _Case(NamedTuple):
+    """A pair with an object: both images, the relative pose that the method is told, the truth."""
+
+    pair: BopPair
+    name: str
+    reference: BopImage
+    second: BopImage
+    T_second_ref: np.ndarray
+    truth: BopAnnotation
+
+
+def _outcome(
+    case: _Case, estimate: PoseEstimate, seconds: float, model: ObjectModel, unit: Unit
+) -> PairOutcome:
+    pair, truth = case.pair, case.truth
+    assert pair.gap is not None
+    return PairOutcome(
+        scene_id=pair.scene_id,
+        ref_image_id=pair.ref_image_id,
+        second_image_id=pair.second_image_id,
+        object_name=case.name,
+        gap=pair.gap,
+        camera_distance=float(np.linalg.norm(truth.T_cam_obj[:3, 3])),
+        visibility=truth.visibility,
+        baseline=float(pair.baselines_deg.get(truth.obj_id, pair.baseline_deg)),
+        seconds=seconds,
+        **compare_with_truth(estimate, truth.T_cam_obj, model, solvers=unit.method != "single"),
+    )
 
 
 def compare_with_truth(
@@ -193,34 +229,32 @@ class _Answers:
     def __init__(self, estimator: Estimator, unit: Unit):
         self._estimator = estimator
         self._method = unit.method
-        self._last: dict[tuple[int, int, str], tuple[PoseEstimate, float]] = {}
+        self._last: dict[tuple, tuple[PoseEstimate, float]] = {}
         self._read = lru_cache(maxsize=16)(read_rgb)
 
-    def get(
-        self, reference: BopImage, second: BopImage, T_second_ref: np.ndarray, name: str
-    ) -> tuple[PoseEstimate, float]:
-        """The estimate and the seconds that it took."""
-        key = (reference.scene_id, reference.image_id, name)
-        if self._method not in ONE_VIEW:
-            return self._ask([reference, second], [np.eye(4), T_second_ref], name)
-        if key not in self._last:
-            self._last = {k: v for k, v in self._last.items() if k[:2] == key[:2]}
-            self._last[key] = self._ask([reference], [np.eye(4)], name)
-        return self._last[key]
-
-    def _ask(
-        self, images: Sequence[BopImage], poses: Sequence[np.ndarray], name: str
-    ) -> tuple[PoseEstimate, float]:
+    def get(self, cases: Sequence[_Case]) -> list[tuple[PoseEstimate, float]]:
+        """The estimate of each case, and the seconds that it took."""
+        keys = [self._key(case) for case in cases]
+        known = {key: self._last[key] for key in keys if key in self._last}
+        new = {key: case for key, case in zip(keys, cases, strict=True) if key not in known}
         # Views are new each time: a method that remembers views has to work all the same.
-        views = [
-            View(
-                self._read(image),
-                image.K,
-                pose,
-                depth=read_depth(image) if self._method == "rgbd" else None,
-            )
-            for image, pose in zip(images, poses, strict=True)
-        ]
+        requests = [(self._views(case), case.name) for case in new.values()]
         start = time.perf_counter()
-        estimate = self._estimator.estimate(views, name)
-        return estimate, time.perf_counter() - start
+        estimates = estimate_all(self._estimator, requests)
+        seconds = (time.perf_counter() - start) / max(1, len(requests))
+        known |= {key: (pose, seconds) for key, pose in zip(new, estimates, strict=True)}
+        self._last = known
+        return [known[key] for key in keys]
+
+    def _key(self, case: _Case) -> tuple:
+        """What an answer depends on."""
+        pair = case.pair
+        second = () if self._method in ONE_VIEW else (pair.second_image_id,)
+        return (pair.scene_id, pair.ref_image_id, case.name, *second)
+
+    def _views(self, case: _Case) -> list[View]:
+        depth = read_depth(case.reference) if self._method == "rgbd" else None
+        views = [View(self._read(case.reference), case.reference.K, np.eye(4), depth)]
+        if self._method not in ONE_VIEW:
+            views.append(View(self._read(case.second), case.second.K, case.T_second_ref))
+        return views

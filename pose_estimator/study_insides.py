@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.utils._pytree import tree_map_only
 
 from .crops import warp_crop
 from .geometry import View, transform
@@ -126,9 +127,13 @@ def draw_depth(
 
 @contextmanager
 def overheard(module: nn.Module) -> Iterator[list[tuple[tuple[Any, ...], Any]]]:
-    """Notes inputs and output of every run of a module while the context is open."""
+    """Notes inputs and output of every run of a module while the context is open, on the CPU."""
     heard: list[tuple[tuple[Any, ...], Any]] = []
-    hook = module.register_forward_hook(lambda _, given, out: heard.append((given, out)))
+
+    def note(_: nn.Module, given: tuple[Any, ...], out: Any) -> None:
+        heard.append(tree_map_only(Tensor, Tensor.cpu, (given, out)))
+
+    hook = module.register_forward_hook(note)
     try:
         yield heard
     finally:

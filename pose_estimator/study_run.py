@@ -6,8 +6,6 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
-import torch
-
 from . import load, study_fingerprint
 from .bop_pairs import PAIRS_FILE
 from .networks import PoseNetworks
@@ -46,8 +44,6 @@ class Study:
             ValueError: if no method can be run.
             FileNotFoundError: if there are no such weights.
         """
-        if self.config.threads:
-            torch.set_num_threads(self.config.threads)
         estimators = self.load_all()
         usual = {m: e for (m, training), e in estimators.items() if training == TRAINED}
         if not usual:
@@ -83,7 +79,9 @@ class Study:
         for method, training, weights in wanted:
             find_weights(weights)
             try:
-                loaded[method, training] = load(method, weights)
+                loaded[method, training] = load(
+                    method, weights, device=self.config.device, threads=self.config.threads
+                )
             except ValueError as error:
                 self._missing(method, training, str(error))
         return loaded

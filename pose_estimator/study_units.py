@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ..assets.object_model import ObjectModel
 from .bop import BopPair
-from .evaluate import target_pairs
+from .evaluate_pairs import target_pairs
 from .geometry import make_transform
 
 ONE_VIEW = frozenset({"single", "rgbd"})

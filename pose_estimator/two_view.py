@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .estimate import PoseEstimate, Roi, roi_of_pose, upright_turn
-from .frontend import EncodedView, merge_votes
-from .geometry import View, invert
-from .single_view import SingleViewEstimator, check_rois, first_view
+from .frontend import EncodedView, Target, merge_votes
+from .geometry import invert
+from .single_view import Request, SingleViewEstimator
 from .solvers import solve_pose
 from .symmetry import keypoint_permutations
 
@@ -26,42 +26,61 @@ _LARGEST_TURN = 1.5
 """Largest turn in radians of a crop of the second look."""
 
 
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """What is known of one request before its views are fused.
+
+    Attributes:
+        encoded: its views, the reference first.
+        object_name: what they show.
+        first: the best pose so far: from the reference alone, or from an earlier fusion.
+    """
+
+    encoded: Sequence[EncodedView]
+    object_name: str
+    first: PoseEstimate
+
+
 class TwoViewEstimator(SingleViewEstimator, ABC):
     """A fusion of views; a method adds :meth:`fuse`.
 
     With one view it answers as ``single`` does: that is the first pose of the environment.
     """
 
-    def estimate(
-        self, views: Sequence[View], object_name: str, rois: Sequence[Roi] | None = None
-    ) -> PoseEstimate:
-        encoded, first = self.encode_views(views, object_name, rois)
-        if len(views) == 1:
-            return first
-        fused = self.fuse(encoded, object_name, first)
-        again = self.look_again(encoded, object_name, fused)
-        return replace(self.fuse(again, object_name, fused), rois=fused.rois)
+    def estimate_batch(
+        self, requests: Sequence[Request], rois: Sequence[Sequence[Roi]] | None = None
+    ) -> list[PoseEstimate]:
+        sightings = self.encode_views(requests, rois)
+        answers = [sighting.first for sighting in sightings]
+        several = [n for n, sighting in enumerate(sightings) if len(sighting.encoded) > 1]
+        fused = self.fuse_twice([sightings[n] for n in several])
+        for n, answer in zip(several, fused, strict=True):
+            answers[n] = answer
+        return answers
+
+    def fuse_twice(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
+        """Fuses views, and then what they show where the fused poses say the objects are."""
+        fused = self.fuse(sightings)
+        again = self.look_again(
+            [replace(s, first=pose) for s, pose in zip(sightings, fused, strict=True)]
+        )
+        return [
+            replace(pose, rois=s.first.rois)
+            for s, pose in zip(again, self.fuse(again), strict=True)
+        ]
 
     @abstractmethod
-    def fuse(
-        self, encoded: Sequence[EncodedView], object_name: str, first: PoseEstimate
-    ) -> PoseEstimate:
-        """Fuses views into one pose.
-
-        Args:
-            encoded: two views or more, the reference first.
-            object_name: what they show.
-            first: the best pose so far: from the reference alone, or from an earlier fusion.
+    def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
+        """Fuses the views of each sighting into one pose.
 
         Returns:
-            The pose in the reference camera; ``keypoints`` are those that the solver was given, or
-            those of a pose that was refined after it.
+            The poses in the reference cameras; ``keypoints`` are those that the solver was given,
+            or those of a pose that was refined after it.
         """
 
     def answer(
         self,
-        encoded: Sequence[EncodedView],
-        object_name: str,
+        sighting: Sighting,
         keypoints: np.ndarray,
         covariance: np.ndarray,
         *,
@@ -70,53 +89,46 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
         """The pose of fused keypoints.
 
         Args:
-            encoded: the views that they come from.
-            object_name: whose keypoints they are.
+            sighting: what they come from.
             keypoints: (9, 3) in the reference camera, m.
             covariance: theirs, (9, 3, 3).
             weigh: let the solver trust each as far as its covariance says, instead of all alike.
         """
-        model = self.networks.objects[object_name]
+        model = self.networks.objects[sighting.object_name]
         trust = covariance if weigh else None
         return PoseEstimate(
             T_cam_obj=solve_pose(model.keypoints, keypoints, model.diameter, self.solver, trust),
             keypoints=keypoints,
             keypoint_covariance=covariance,
-            rois=[e.roi for e in encoded],
+            rois=[e.roi for e in sighting.encoded],
         )
 
     def encode_views(
-        self, views: Sequence[View], object_name: str, rois: Sequence[Roi] | None = None
-    ) -> tuple[list[EncodedView], PoseEstimate]:
-        """Encodes all views, each where the object was found in all of them together.
-
-        Args:
-            views: the reference view first.
-            object_name: what to look for.
-            rois: see :meth:`estimate`.
+        self, requests: Sequence[Request], rois: Sequence[Sequence[Roi]] | None = None
+    ) -> list[Sighting]:
+        """Encodes all views, each where the object was found in all of its request together.
 
         Returns:
-            The encoded views, and the pose from the reference alone.
+            The encoded views, with the poses from the references alone.
 
         Raises:
             ValueError: see :meth:`estimate`.
         """
-        index = self.index(object_name)
-        first_view(views)
-        given: Sequence[Roi | None] = [None]
-        if rois is not None:
-            given = check_rois(rois, views)
-        elif len(views) > 1:
-            given = self.frontend.regions(views, index)
-        encoded = [
-            self.frontend.encode(view, index, roi=roi)
-            for view, roi in zip(views, given, strict=True)
-        ]
-        return encoded, self.from_one_view(encoded[0], object_name)
+        targets = self.targets(requests, rois)
+        together = [n for n, own in enumerate(targets) if rois is None and len(own) > 1]
+        found: list[list[Roi | None]] = []
+        if together:
+            found = self.frontend.regions([(requests[n][0], targets[n][0].index) for n in together])
+        for n, regions in zip(together, found, strict=True):
+            targets[n] = [t._replace(roi=roi) for t, roi in zip(targets[n], regions, strict=True)]
+        encoded = iter(self.frontend.encode([target for own in targets for target in own]))
+        sightings = []
+        for (_, name), own in zip(requests, targets, strict=True):
+            views = [next(encoded) for _ in own]
+            sightings.append(Sighting(views, name, self.from_one_view(views[0], name)))
+        return sightings
 
-    def look_again(
-        self, encoded: Sequence[EncodedView], object_name: str, fused: PoseEstimate
-    ) -> list[EncodedView]:
+    def look_again(self, sightings: Sequence[Sighting]) -> list[Sighting]:
         """Crops every view where a first fusion says the object is, and votes once more.
 
         The detector misjudges the size of a region by some ten percent; a fused pose does not. A
@@ -124,18 +136,27 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
         the new crops it stands upright. And a network's errors differ a little from crop to crop:
         the votes of several are averaged.
         """
-        model, index = self.networks.objects[object_name], self.index(object_name)
-        permutations = keypoint_permutations(model.keypoints, model.symmetries)
-        T_ref_world = encoded[0].view.T_cam_world
-        scale = self.networks.features.config.roi_scale
-        views = []
-        for first in encoded:
-            T = first.view.T_cam_world @ invert(T_ref_world) @ fused.T_cam_obj
-            roi = roi_of_pose(T, first.view.K, model.diameter, scale, first.roi.score)
-            upright = upright_turn(T, first.view.K)
-            upright = first.turn if upright is None else upright
-            upright = float(np.clip(upright, -_LARGEST_TURN, _LARGEST_TURN))
-            turns = [upright + turn for turn in _TURNS]
-            again, *turned = self.frontend.encode_turned(first.view, index, roi, turns)
-            views.append(merge_votes(again, [*turned, first], permutations))
-        return views
+        targets, turns = [], []
+        for sighting in sightings:
+            model = self.networks.objects[sighting.object_name]
+            T_ref_world = sighting.encoded[0].view.T_cam_world
+            for seen in sighting.encoded:
+                T = seen.view.T_cam_world @ invert(T_ref_world) @ sighting.first.T_cam_obj
+                scale = self.networks.features.config.roi_scale
+                roi = roi_of_pose(T, seen.view.K, model.diameter, scale, seen.roi.score)
+                upright = upright_turn(T, seen.view.K)
+                upright = seen.turn if upright is None else upright
+                upright = float(np.clip(upright, -_LARGEST_TURN, _LARGEST_TURN))
+                targets.append(Target(seen.view, self.index(sighting.object_name), roi))
+                turns.append([upright + turn for turn in _TURNS])
+        crops = iter(self.frontend.encode_turned(targets, turns))
+        again = []
+        for sighting in sightings:
+            model = self.networks.objects[sighting.object_name]
+            permutations = keypoint_permutations(model.keypoints, model.symmetries)
+            views = []
+            for seen in sighting.encoded:
+                upright_crop, *turned = next(crops)
+                views.append(merge_votes(upright_crop, [*turned, seen], permutations))
+            again.append(replace(sighting, encoded=views))
+        return again

@@ -34,10 +34,10 @@ SHARP = np.tile(np.eye(2) * 1e-4, (9, 1, 1))
 
 def completed(frontend: PerfectVotes, model: ObjectModel) -> PerfectVotes:
     """The frontend, with an encoder's maps and the mask of a box in its views."""
-    encode = frontend.encode
+    encode = frontend.encode_view
     generator = torch.Generator().manual_seed(0)
 
-    def encode_all(*arguments, **options):
+    def encode_view(*arguments, **options):
         shapes = zip(PYRAMID_CHANNELS, (64, 32, 16, 8, 4), strict=True)
         maps = tuple(torch.rand(c, side, side, generator=generator) for c, side in shapes)
         encoded = encode(*arguments, **options)
@@ -45,7 +45,7 @@ def completed(frontend: PerfectVotes, model: ObjectModel) -> PerfectVotes:
         mask = box_depth(model, T, encoded.K_grid, (32, 32)) > 0
         return replace(encoded, maps=maps, mask=mask.astype(np.float32))
 
-    frontend.encode = encode_all
+    frontend.encode_view = encode_view
     return frontend
 
 

@@ -10,19 +10,24 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from two_view_pose.pose_estimator import evaluate
-from two_view_pose.pose_estimator.bop import BopDataset, read_dataset, read_depth, read_pairs
+from two_view_pose.pose_estimator.bop import (
+    BopDataset,
+    read_dataset,
+    read_depth,
+    read_pairs,
+    read_rgb,
+)
 from two_view_pose.pose_estimator.bop_pairs import BopPair, turned_round
 from two_view_pose.pose_estimator.bop_results import read_bop_results
 from two_view_pose.pose_estimator.bop_writer import write_pairs
 from two_view_pose.pose_estimator.estimate import PoseEstimate
-from two_view_pose.pose_estimator.evaluate import (
+from two_view_pose.pose_estimator.evaluate import evaluate_dataset
+from two_view_pose.pose_estimator.evaluate_config import EvaluateConfig
+from two_view_pose.pose_estimator.evaluate_pairs import (
     distance_of_keypoints,
-    evaluate_dataset,
     evaluate_pairs,
     target_pairs,
 )
-from two_view_pose.pose_estimator.evaluate_config import EvaluateConfig
 from two_view_pose.pose_estimator.features import FeatureConfig
 from two_view_pose.pose_estimator.geometry import (
     LINEMOD_K,
@@ -47,7 +52,7 @@ class Oracle:
         self.truths = {}
         for image in dataset:
             for annotation in image.annotations:
-                key = (evaluate.read_rgb(image).tobytes(), annotation.obj_id)
+                key = (read_rgb(image).tobytes(), annotation.obj_id)
                 self.truths[key] = annotation.T_cam_obj
 
     @property

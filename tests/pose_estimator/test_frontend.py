@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from two_view_pose.pose_estimator.estimate import Roi
 from two_view_pose.pose_estimator.features import FeatureConfig
-from two_view_pose.pose_estimator.frontend import Frontend, merge_votes
+from two_view_pose.pose_estimator.frontend import EncodedView, Frontend, Target, merge_votes
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, View, turn_matrix
+from two_view_pose.pose_estimator.inference import Inference
 from two_view_pose.pose_estimator.networks import NetworkConfig, PoseNetworks
 
 ROI = Roi(np.array([320.0, 200.0]), 150.0, 1.0)
@@ -15,7 +16,8 @@ SAME = np.arange(9)[None]
 
 @pytest.fixture(scope="module")
 def frontend(boxes) -> Frontend:
-    return Frontend(PoseNetworks(boxes, NetworkConfig(features=FeatureConfig())).eval())
+    networks = PoseNetworks(boxes, NetworkConfig(features=FeatureConfig())).eval()
+    return Frontend(networks, Inference(networks, threads=1))
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +26,11 @@ def dotted() -> View:
     image = np.zeros((480, 640, 3), np.uint8)
     cv2.circle(image, (350, 170), 4, (255, 255, 255), -1)
     return View(image, LINEMOD_K, np.eye(4))
+
+
+def encode_turned(frontend, view, turns) -> list[EncodedView]:
+    [encoded] = frontend.encode_turned([Target(view, 0, ROI)], [turns])
+    return encoded
 
 
 def test_a_turn_leaves_the_middle_where_it_is():
@@ -38,7 +45,7 @@ def test_each_crop_knows_how_it_was_turned(frontend, dotted, monkeypatch):
     pyramid = encoder.pyramid
     monkeypatch.setattr(encoder, "pyramid", lambda crops: (seen.append(crops), pyramid(crops))[1])
     turns = (0.0, -0.2, 0.2)
-    encoded = frontend.encode_turned(dotted, 0, ROI, turns)
+    encoded = encode_turned(frontend, dotted, turns)
     [crops] = seen  # one batch
     places = []
     for crop, view in zip(crops.numpy(), encoded, strict=True):
@@ -49,13 +56,13 @@ def test_each_crop_knows_how_it_was_turned(frontend, dotted, monkeypatch):
         assert np.allclose(back[:2], (350, 170), atol=0.3)
         assert np.allclose(view.K_grid, np.linalg.inv(view.to_image) @ LINEMOD_K)
     assert np.linalg.norm(np.subtract(places[1], places[2])) > 10
-    alone = frontend.encode(dotted, 0, roi=ROI)
+    [alone] = frontend.encode([Target(dotted, 0, ROI)])
     assert np.allclose(alone.mask, encoded[0].mask, atol=0.02)
     assert np.allclose(alone.to_image, encoded[0].to_image)
 
 
 def test_votes_of_turned_crops_are_averaged_in_the_picture(frontend, dotted):
-    upright, left, right = frontend.encode_turned(dotted, 0, ROI, (0.0, -0.2, 0.2))
+    upright, left, right = encode_turned(frontend, dotted, (0.0, -0.2, 0.2))
     rng = np.random.default_rng(1)
     truth = rng.uniform(280, 360, (9, 2))
     errors = 3 * rng.normal(size=(3, 9, 2))
@@ -77,7 +84,7 @@ def test_votes_of_turned_crops_are_averaged_in_the_picture(frontend, dotted):
 
 
 def test_a_crop_that_votes_for_the_equivalent_pose_is_renumbered(frontend, dotted):
-    first, second = frontend.encode_turned(dotted, 0, ROI, (0.0, 0.1))
+    first, second = encode_turned(frontend, dotted, (0.0, 0.1))
     swapped = np.array([1, 0, *range(2, 9)])
     second = replace(first, vote_mean=first.vote_mean + np.arange(9)[:, None] * 5)
     other = replace(second, vote_mean=second.vote_mean[swapped])
@@ -90,12 +97,14 @@ def test_an_unsure_crop_is_turned_and_the_surest_turn_is_taken(frontend, dotted,
     asked = []
 
     def with_scores(scores):
-        def encode_turned(self, view, index, roi, turns):
-            asked.append(tuple(turns))
-            plain = original(self, view, index, roi, turns)
+        def encode_turned(self, targets, turns):
+            asked.extend(turns)
             return [
-                replace(e, vote_score=np.full(9, scores.get(t, 0.3)))
-                for e, t in zip(plain, turns, strict=True)
+                [
+                    replace(e, vote_score=np.full(9, scores.get(t, 0.3)))
+                    for e, t in zip(plain, own, strict=True)
+                ]
+                for plain, own in zip(original(self, targets, turns), turns, strict=True)
             ]
 
         return encode_turned
@@ -108,6 +117,6 @@ def test_an_unsure_crop_is_turned_and_the_surest_turn_is_taken(frontend, dotted,
     ):
         asked.clear()
         monkeypatch.setattr(Frontend, "encode_turned", with_scores(scores))
-        found = frontend.encode(dotted, 0, roi=ROI)
+        [found] = frontend.encode([Target(dotted, 0, ROI)])
         assert found.turn == turn and len(asked) == calls
         assert np.allclose(found.K_grid, np.linalg.inv(found.to_image) @ LINEMOD_K)

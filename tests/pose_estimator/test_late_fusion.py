@@ -7,6 +7,7 @@ import pytest
 from two_view_pose.pose_estimator.estimate import PoseEstimate
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, View, transform
 from two_view_pose.pose_estimator.late_fusion import LateFusionEstimator
+from two_view_pose.pose_estimator.two_view import Sighting
 from votes import T_WORLD_OBJ, Garbage, PerfectVotes, camera, check_sound, error, view
 
 
@@ -41,8 +42,9 @@ def test_covariance_says_how_far_keypoints_are_off(networks):
     votes, estimator = PerfectVotes(networks, noise=0.4), LateFusionEstimator(networks)
     scaled = []
     for _ in range(20):
-        encoded = [votes.encode(view(degrees), 0) for degrees in (20, 50)]
-        found = estimator.fuse(encoded, "brick", estimator.from_one_view(encoded[0], "brick"))
+        encoded = [votes.encode_view(view(degrees), 0) for degrees in (20, 50)]
+        first = estimator.from_one_view(encoded[0], "brick")
+        [found] = estimator.fuse([Sighting(encoded, "brick", first)])
         off = found.keypoints - truth
         scaled.append(np.einsum("ki,kij,kj->k", off, np.linalg.inv(found.keypoint_covariance), off))
     # The squares of three standard normal numbers.
@@ -52,12 +54,13 @@ def test_covariance_says_how_far_keypoints_are_off(networks):
 def test_the_relative_pose_is_used(networks):
     frontend = PerfectVotes(networks)
     pair = [view(20), view(65)]
-    encoded = [frontend.encode(v, 0) for v in pair]
+    encoded = [frontend.encode_view(v, 0) for v in pair]
     told_wrong = View(pair[1].image, LINEMOD_K, camera(60))
     object.__setattr__(encoded[1], "view", told_wrong)
     estimator = LateFusionEstimator(networks)
     first = estimator.from_one_view(encoded[0], "brick")
-    assert error(estimator.fuse(encoded, "brick", first), networks, "brick", 20) > 0.02
+    [found] = estimator.fuse([Sighting(encoded, "brick", first)])
+    assert error(found, networks, "brick", 20) > 0.02
 
 
 def test_garbage_and_views_from_one_place_are_answered(networks):

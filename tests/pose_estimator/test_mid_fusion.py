@@ -16,6 +16,7 @@ from two_view_pose.pose_estimator.geometry import (
 from two_view_pose.pose_estimator.mid_fusion import MidFusionEstimator
 from two_view_pose.pose_estimator.networks import PoseNetworks
 from two_view_pose.pose_estimator.single_view import SingleViewEstimator
+from two_view_pose.pose_estimator.two_view import Sighting
 from votes import T_WORLD_OBJ, Garbage, PerfectVotes, camera, check_sound, error, view
 
 
@@ -124,12 +125,12 @@ def test_the_world_does_not_matter(trusting):
     elsewhere = [View(v.image, v.K, v.T_cam_world @ invert(moved)) for v in pair]
     estimator = MidFusionEstimator(trusting)
     frontend = PerfectVotes(trusting)
-    encoded = [frontend.encode(v, 0) for v in pair]
+    encoded = [frontend.encode_view(v, 0) for v in pair]
     first = estimator.from_one_view(encoded[0], "brick")
-    here = estimator.fuse(encoded, "brick", first)
+    [here] = estimator.fuse([Sighting(encoded, "brick", first)])
     for e, v in zip(encoded, elsewhere, strict=True):
         object.__setattr__(e, "view", v)
-    there = estimator.fuse(encoded, "brick", first)
+    [there] = estimator.fuse([Sighting(encoded, "brick", first)])
     assert np.allclose(here.T_cam_obj, there.T_cam_obj, atol=1e-4)
 
 

@@ -37,7 +37,7 @@ class Votes2D:
         self.networks = networks
         self.rois: list[Roi | None] = []
 
-    def encode(self, view, index, roi=None) -> EncodedView:
+    def encode_view(self, view, index, roi=None) -> EncodedView:
         self.rois.append(roi)
         model = list(self.networks.objects.values())[index]
         config = self.networks.features.config
@@ -59,8 +59,11 @@ class Votes2D:
             mask=mask.astype(float),
         )
 
-    def encode_turned(self, view, index, roi, turns) -> list[EncodedView]:
-        return [self.encode(view, index, roi=roi)] * len(turns)
+    def encode(self, targets) -> list[EncodedView]:
+        return [self.encode_view(*target) for target in targets]
+
+    def encode_turned(self, targets, turns) -> list[list[EncodedView]]:
+        return [[self.encode_view(*t)] * len(own) for t, own in zip(targets, turns, strict=True)]
 
 
 class FitsCentre(nn.Module):
@@ -154,7 +157,7 @@ def test_holes_are_borne_and_no_depth_at_all_is_answered_from_the_picture(estima
     found = estimator.estimate([view(holes)], "brick")
     np.testing.assert_allclose(found.T_cam_obj, T_CAM_OBJ, atol=3e-3)
     blind = estimator.estimate([view(np.zeros_like(depth))], "brick")
-    single = estimator.from_one_view(estimator.frontend.encode(view(depth), 0), "brick")
+    single = estimator.from_one_view(estimator.frontend.encode_view(view(depth), 0), "brick")
     np.testing.assert_allclose(blind.T_cam_obj, single.T_cam_obj)
 
 

@@ -88,8 +88,8 @@ def test_the_views_are_searched_together(networks):
     """What the frontend finds in all views at once is what each is then encoded at."""
 
     class Together(PerfectVotes):
-        def regions(self, views, index):
-            return [None, true_roi(networks, 70)]
+        def regions(self, requests):
+            return [[None, true_roi(networks, 70)]]
 
     estimator = LateFusionEstimator(networks)
     estimator.frontend = Together(networks)
@@ -101,7 +101,7 @@ def test_the_views_are_searched_together(networks):
 def test_votes_are_renumbered_to_the_references(networks):
     model = networks.objects["crate"]
     frontend = PerfectVotes(networks, (0, 1, 1))
-    encoded = [frontend.encode(view(degrees), 1) for degrees in (20, 65, -10)]
+    encoded = [frontend.encode_view(view(degrees), 1) for degrees in (20, 65, -10)]
     agreed, points = agree(encoded, model)
     truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
     np.testing.assert_allclose(points, truth, atol=1e-4)
@@ -117,7 +117,7 @@ def test_the_joint_pose_is_the_truth_whatever_the_baseline(networks, degrees):
     model = networks.objects["brick"]
     first, _ = looking(networks, SingleViewEstimator, [view(20)])
     frontend = PerfectVotes(networks)
-    encoded = [frontend.encode(view(d), 0) for d in (20, degrees)]
+    encoded = [frontend.encode_view(view(d), 0) for d in (20, degrees)]
     truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
     wrong = truth + np.array([0, 0, 0.3])  # as a triangulation with hardly any baseline may be
     T = joint_pose(encoded, wrong, model, first)
@@ -129,7 +129,7 @@ def test_votes_that_no_pose_explains_leave_the_pose_that_was_known(networks):
     first, _ = looking(networks, SingleViewEstimator, [view(20)])
     away = make_transform(np.diag([-1.0, 1, -1]), [0, 0, -5.0])  # behind the second camera
     frontend = PerfectVotes(networks)
-    encoded = [frontend.encode(view(20), 0), frontend.encode(view(70), 0)]
+    encoded = [frontend.encode_view(view(20), 0), frontend.encode_view(view(70), 0)]
     lost = replace(encoded[1], view=View(encoded[1].view.image, LINEMOD_K, away))
     far = np.full((9, 3), 50.0)
     joint = joint_pose([encoded[0], lost], far, model, first)
@@ -141,7 +141,7 @@ def test_a_joint_pose_far_from_what_was_known_is_not_believed(networks):
     model = networks.objects["brick"]
     first, _ = looking(networks, SingleViewEstimator, [view(20)])
     frontend = PerfectVotes(networks)
-    encoded = [frontend.encode(view(d), 0) for d in (20, 23)]
+    encoded = [frontend.encode_view(view(d), 0) for d in (20, 23)]
     # The second view votes for something where the rays meet at twice the depth.
     T = camera(20) @ T_WORLD_OBJ
     T[2, 3] *= 2
@@ -159,7 +159,7 @@ def test_collapsed_votes_leave_the_object_at_the_depth_of_its_region(networks):
     model = networks.objects["brick"]
     estimator = SingleViewEstimator(networks)
     frontend = PerfectVotes(networks)
-    encoded = frontend.encode(view(20), 0)
+    encoded = frontend.encode_view(view(20), 0)
     assert estimator.from_one_view(encoded, "brick").T_cam_obj[2, 3] == pytest.approx(0.9, abs=0.1)
     middle = encoded.vote_mean[-1] + 0.02 * (encoded.vote_mean - encoded.vote_mean[-1])
     found = estimator.from_one_view(replace(encoded, vote_mean=middle), "brick")
@@ -177,7 +177,7 @@ def test_points_in_space_and_votes_are_weighed_by_their_covariances(networks):
     model = networks.objects["brick"]
     first, _ = looking(networks, SingleViewEstimator, [view(20)])
     frontend = PerfectVotes(networks)
-    encoded = [frontend.encode(view(d), 0) for d in (20, 65)]
+    encoded = [frontend.encode_view(view(d), 0) for d in (20, 65)]
     truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
     deeper = truth + np.array([0, 0, 0.02])
     depths = []
@@ -226,9 +226,9 @@ def test_the_second_look_shows_the_object_upright(networks, roll):
     asked = []
 
     class Turned(PerfectVotes):
-        def encode_turned(self, view, index, roi, turns):
-            asked.append(tuple(turns))
-            return super().encode_turned(view, index, roi, turns)
+        def encode_turned(self, targets, turns):
+            asked.extend(map(tuple, turns))
+            return super().encode_turned(targets, turns)
 
     views = [replace(view(d), T_cam_world=rolled(roll) @ camera(d)) for d in (20, 70)]
     estimator = LateFusionEstimator(networks)
@@ -244,16 +244,16 @@ def test_where_upright_has_no_meaning_the_turn_of_the_first_look_is_kept(network
     asked = []
 
     class Turned(PerfectVotes):
-        def encode(self, view, index, roi=None):
-            return replace(super().encode(view, index, roi), turn=0.5 * self.calls)
+        def encode_view(self, view, index, roi=None):
+            return replace(super().encode_view(view, index, roi), turn=0.5 * self.calls)
 
-        def encode_turned(self, view, index, roi, turns):
-            asked.append(turns[0])
-            return super().encode_turned(view, index, roi, turns)
+        def encode_turned(self, targets, turns):
+            asked.extend(own[0] for own in turns)
+            return super().encode_turned(targets, turns)
 
     estimator = LateFusionEstimator(networks)
     estimator.frontend = Turned(networks)
-    encoded, first = estimator.encode_views([view(20), view(70)], "brick")
+    [sighting] = estimator.encode_views([([view(20)], "brick")])
     above = make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 0.9]))
-    estimator.look_again(encoded[:1], "brick", replace(first, T_cam_obj=above))
+    estimator.look_again([replace(sighting, first=replace(sighting.first, T_cam_obj=above))])
     assert asked == [0.5]

@@ -47,12 +47,14 @@ class PerfectVotes:
         self.noise = noise
         self.calls = 0
         self.told: list[Roi | None] = []
-        self._bfloat16 = False
 
-    def regions(self, views, index) -> list[Roi | None]:
-        return [None] * len(views)
+    def regions(self, requests) -> list[list[Roi | None]]:
+        return [[None] * len(views) for views, _ in requests]
 
-    def encode(self, view, index, roi=None) -> EncodedView:
+    def encode(self, targets) -> list[EncodedView]:
+        return [self.encode_view(*target) for target in targets]
+
+    def encode_view(self, view, index, roi=None) -> EncodedView:
         model = list(self.networks.objects.values())[index]
         symmetry = self.twist[self.calls % len(self.twist)] if self.twist else 0
         self.calls += 1
@@ -76,15 +78,15 @@ class PerfectVotes:
             mask=np.ones((config.grid, config.grid)),
         )
 
-    def encode_turned(self, view, index, roi, turns) -> list[EncodedView]:
-        return [self.encode(view, index, roi=roi)] * len(turns)
+    def encode_turned(self, targets, turns) -> list[list[EncodedView]]:
+        return [[self.encode_view(*t)] * len(own) for t, own in zip(targets, turns, strict=True)]
 
 
 class Garbage(PerfectVotes):
     """Votes anywhere, with any confidence."""
 
-    def encode(self, view, index, roi=None) -> EncodedView:
-        good = super().encode(view, index)
+    def encode_view(self, view, index, roi=None) -> EncodedView:
+        good = super().encode_view(view, index)
         scale = 10.0 ** self.rng.uniform(-2, 5)
         object.__setattr__(good, "vote_mean", self.rng.normal(16, scale, (9, 2)))
         covariance = np.tile(np.eye(2) * 10.0 ** self.rng.uniform(-3, 5), (9, 1, 1))
