@@ -3,7 +3,8 @@
 Stable-Baselines3's own zip files hold pickled Python objects, and loading one runs whatever code
 its author put there. Here the tensors are plain data and the header is JSON, so that a file from a
 stranger can at worst be wrong. The header travels in the metadata of the safetensors file: header
-and tensors are one file, replaced in one rename.
+and tensors are one file, replaced in one rename. Finished policies are in half precision,
+checkpoints in full.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,10 @@ from gymnasium import spaces
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
+from ..pose_estimator.quantization import pack
 from ..pose_estimator.results import commit, versions, write_atomically
 
-FORMAT = "two-view-pose agent 1"
+FORMAT = "two-view-pose agent 2"
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class AgentHeader:
         observation_space: see `describe_space`.
         action_space: see `describe_space`.
         counters: the trainer's own counters, empty in a file that holds only a policy.
+        aliases: further names of tensors that the file holds once: SB3 names an extractor that
+            policy and value share three times.
         versions: package versions at the time of writing.
         commit: commit of the checkout, None for an installed wheel.
         format: name and version of this file format.
@@ -57,6 +61,7 @@ class AgentHeader:
     observation_space: Any
     action_space: Any
     counters: dict[str, float] = field(default_factory=dict)
+    aliases: dict[str, str] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=versions)
     commit: str | None = field(default_factory=commit)
     format: str = FORMAT
@@ -79,21 +84,38 @@ def describe_space(space: spaces.Space) -> Any:
 
 
 def write_agent(
-    path: str | os.PathLike[str], header: AgentHeader, tensors: Mapping[str, torch.Tensor]
+    path: str | os.PathLike[str],
+    header: AgentHeader,
+    tensors: Mapping[str, torch.Tensor],
+    *,
+    half: bool = False,
 ) -> None:
     """Writes an agent file; the path holds either the old file or the whole new one.
 
+    Args:
+        path: the file.
+        header: what the file says; its aliases are found anew.
+        tensors: by name.
+        half: whether numbers are stored in half precision, which is enough to act.
+
     Raises:
-        ValueError: if the header is not plain data.
+        ValueError: if the header is not plain data, or numbers do not fit into half precision.
     """
+    named: dict[Any, str] = {}
+    aliases = {}
+    for key, tensor in tensors.items():
+        place = (tensor.device, tensor.data_ptr(), tensor.shape, tensor.stride(), tensor.dtype)
+        first = named.setdefault(place, key)
+        if first != key:
+            aliases[key] = first
     try:
-        text = json.dumps(asdict(header), sort_keys=True, allow_nan=False)
+        text = json.dumps(asdict(replace(header, aliases=aliases)), sort_keys=True, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise ValueError(
             f"agent header must be plain data (text, numbers, lists, mappings): {error}"
         ) from error
-    plain = {key: tensor.detach().cpu().contiguous().clone() for key, tensor in tensors.items()}
-    write_atomically(path, save(plain, metadata={"header": text}))
+    plain = {key: tensors[key].detach().cpu().contiguous().clone() for key in named.values()}
+    write_atomically(path, save(pack(plain) if half else plain, metadata={"header": text}))
 
 
 def read_agent(
@@ -124,11 +146,15 @@ def read_agent(
         )
     try:
         with safe_open(source, framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {key: file.get_tensor(key) for key in file.keys() if key.startswith(prefix)}  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
+            header = _parse_header((file.metadata() or {}).get("header"), source)
+            names = {key: key for key in file.keys()} | header.aliases  # noqa: SIM118
+            tensors = {
+                key: file.get_tensor(name).clone()
+                for key, name in names.items()
+                if key.startswith(prefix)
+            }
+    except (SafetensorError, OSError, TypeError) as error:
         raise ValueError(f"agent file {source} is not a whole safetensors file: {error}") from error
-    header = _parse_header(metadata.get("header"), source)
     for key, tensor in tensors.items():
         if tensor.is_floating_point() and not torch.isfinite(tensor).all():
             raise ValueError(f"agent file {source} is damaged: {key} has NaN or infinite entries")
@@ -152,7 +178,7 @@ def _parse_header(text: str | None, source: Path) -> AgentHeader:
             f"{sorted(names - set(content))}, unknown {sorted(set(content) - names)}"
         )
     kinds = {"algo": str, "env": str, "steps": int, "n_envs": int, "seed": int}
-    kinds |= {"env_kwargs": dict, "hyperparameters": dict, "counters": dict}
+    kinds |= {"env_kwargs": dict, "hyperparameters": dict, "counters": dict, "aliases": dict}
     for key, kind in kinds.items():
         if not isinstance(content[key], kind):
             raise ValueError(

@@ -60,7 +60,7 @@ def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
     )
     weights = {f"policy/{key}": value for key, value in agent.state_dict().items()}
     path = config.out / POLICY
-    write_agent(path, header, weights)
+    write_agent(path, header, weights, half=True)
     kept = bank.part(slice(*validating["scenes"]))
     errors = kept.second_error[np.arange(len(kept)), chosen_slots(agent, kept)]
     recall, capped = float(np.mean(errors < 0.1)), float(np.minimum(errors, 1.0).mean())

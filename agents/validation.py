@@ -91,7 +91,7 @@ def make_validation(
 def save_policy(model: BaseAlgorithm, header: AgentHeader, out: Path) -> None:
     """Writes the policy as it is now into ``out``."""
     weights = {f"policy/{key}": value for key, value in model.policy.state_dict().items()}
-    write_agent(out / POLICY, replace(header, steps=model.num_timesteps), weights)
+    write_agent(out / POLICY, replace(header, steps=model.num_timesteps), weights, half=True)
 
 
 def make_env(env_id: str, arguments: dict[str, Any]) -> gym.Env:

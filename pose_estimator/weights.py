@@ -19,9 +19,16 @@ from .detector import DetectorConfig
 from .features import FeatureConfig
 from .networks import NetworkConfig, PoseNetworks
 from .parts import OPTIONAL_PARTS, PARTS
+from .quantization import pack, quantizable, unpack
 from .results import commit, versions, write_atomically
 
-FORMAT = 2
+FORMAT = 3
+STORAGE = (
+    "weights of convolutions and linear layers: int8 with a bfloat16 scale for each output "
+    "channel; batch statistics: float32; all else, the encoders' first layers too: float16"
+)
+"""What a header says of how the numbers are stored."""
+
 SHIPPED = Path(assets.__file__).parent / "weights"
 """Where the weights that come with the package lie."""
 
@@ -29,7 +36,7 @@ SHIPPED = Path(assets.__file__).parent / "weights"
 def save_weights(
     networks: PoseNetworks, path: str | Path, header: dict[str, Any], *, surfaces: bool = True
 ) -> None:
-    """Writes weights in half precision, with their header beside them.
+    """Writes weights in eight bits a number (see :func:`pack`), with their header beside them.
 
     Of ``OPTIONAL_PARTS`` only those are written that have been trained. Objects that are not among
     our thirteen are stored too, in a folder beside the header.
@@ -41,14 +48,12 @@ def save_weights(
             trained parts, versions and the commit are added.
         surfaces: whether the meshes of objects that are not ours are stored; without, their
             keypoints, symmetries and sizes are.
+
+    Raises:
+        ValueError: if the networks hold NaN or infinite numbers.
     """
     path = Path(path)
-    tensors = {
-        name: (
-            value.detach().half() if value.is_floating_point() and "running" not in name else value
-        ).contiguous()
-        for name, value in stored_state(networks).items()
-    }
+    tensors = pack(stored_state(networks), quantizable(networks))
     objects: dict[str, dict[str, Any]] = {}
     for name, model in networks.objects.items():
         objects[name] = {"obj_id": model.obj_id, "diameter": model.diameter}
@@ -59,6 +64,7 @@ def save_weights(
             save_object(model, path.parent / objects[name]["folder"], surface=surface)
     full = {
         "format": FORMAT,
+        "storage": STORAGE,
         "objects": objects,
         "networks": asdict(networks.config),
         "trained": [part for part in PARTS if part in networks.trained],
@@ -158,10 +164,10 @@ def read_networks(path: str | Path) -> PoseNetworks:
     except (AttributeError, KeyError, RuntimeError, TypeError) as error:
         raise ValueError(f"the header of {path} does not describe networks: {error}") from error
     try:
-        tensors = load_file(path)
-    except (SafetensorError, OSError) as error:
+        tensors = unpack(load_file(path))
+    except (SafetensorError, OSError, ValueError) as error:
         raise ValueError(f"weights file {path} is damaged: {error}") from error
-    if not all(torch.isfinite(t).all() for t in tensors.values() if t.is_floating_point()):
+    if not all(torch.isfinite(tensor).all() for tensor in tensors.values()):
         raise ValueError(f"weights file {path} is damaged: it holds NaN or infinite numbers")
     expected = stored_state(networks)
     wrong = [n for n in expected if n not in tensors or tensors[n].shape != expected[n].shape]
@@ -170,7 +176,7 @@ def read_networks(path: str | Path) -> PoseNetworks:
             f"weights file {path} does not fit its header: "
             f"{', '.join(wrong[:3]) or 'more tensors than the networks have'}"
         )
-    networks.load_state_dict({n: t.float() for n, t in tensors.items()}, strict=False)
+    networks.load_state_dict(tensors, strict=False)
     return networks.eval()
 
 

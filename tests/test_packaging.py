@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import tomllib
+import zlib
 from importlib import metadata
 from pathlib import Path
 
@@ -93,10 +94,41 @@ def test_objects_are_installed(name):
     assert {"model.glb", "object.json"} <= {path.name for path in folder.iterdir()}
 
 
-def test_weights_are_installed_and_small():
-    sizes = [path.stat().st_size for path in (INSTALLED / "assets/weights").glob("*.safetensors")]
-    assert sizes
-    assert sum(sizes) <= 60e6
+def check_size(sizes: dict[str, int], limit: float, what: str):
+    """Fails with the names of the largest files if their sum in bytes is above so many MiB."""
+    total = sum(sizes.values()) / 2**20
+    largest = sorted(sizes, key=sizes.__getitem__, reverse=True)[:8]
+    listed = "\n".join(f"{sizes[name] / 2**20:8.2f} MiB  {name}" for name in largest)
+    assert total <= limit, f"{what}: {total:.1f} MiB instead of {limit} at most; largest:\n{listed}"
+
+
+def test_a_clone_is_light():
+    if not (CHECKOUT / ".git").exists():
+        pytest.skip("not a clone")
+    command = ["git", "ls-files", "-z"]
+    listed = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=True)
+    files = [name for name in listed.stdout.split("\0") if (CHECKOUT / name).is_file()]
+    assert "tests/test_packaging.py" in files
+    # As file systems count, in blocks of 4 KiB.
+    blocks = {name: -(-(CHECKOUT / name).stat().st_size // 4096) * 4096 for name in files}
+    check_size(blocks, 35, "working tree of a clone")
+
+
+def test_the_wheel_is_light():
+    files = {
+        f"{folder}/{path.relative_to(INSTALLED / folder)}": path
+        for folder in FOLDERS
+        for path in (INSTALLED / folder).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert {"assets/weights/linemod.safetensors", "assets/weights/lmo.safetensors"} <= set(files)
+    packed = {name: len(zlib.compress(path.read_bytes())) for name, path in files.items()}
+    check_size(packed, 30, "wheel")
+
+
+def test_a_file_that_is_too_large_is_named():
+    with pytest.raises(AssertionError, match=r"wheel: 32.0 MiB .*\n +31.00 MiB  films/a.gif"):
+        check_size({"b.py": 2**20, "films/a.gif": 31 * 2**20}, 30, "wheel")
 
 
 def test_console_script():

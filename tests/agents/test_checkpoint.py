@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import gymnasium as gym
@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 import stable_baselines3 as sb3
 import torch
+from safetensors import safe_open
 from safetensors.torch import save_file
-from two_view_pose.agents.checkpoint import read_agent, write_agent
+from two_view_pose.agents.checkpoint import read_agent, subset, write_agent
 from two_view_pose.agents.config import TrainAgentConfig
 from two_view_pose.agents.policies import make_policy
 from two_view_pose.agents.train import CHECKPOINT, train_agent
@@ -47,10 +48,36 @@ def test_the_loaded_policy_acts_like_the_trained_one(
     for seed in range(20):
         observation, _ = env.reset(seed=seed)
         expected, _ = models[0].predict(observation, deterministic=True)
-        for policy in policies:
-            action = policy.act(observation)
-            assert env.action_space.contains(action)
-            assert np.array_equal(action, expected)
+        half, full = (policy.act(observation) for policy in policies)
+        assert env.action_space.contains(half) and env.action_space.contains(full)
+        assert np.array_equal(full, expected)
+        assert np.allclose(half, expected, atol=2e-3)
+
+
+def test_tensors_with_two_names_are_stored_once(agent: Path) -> None:
+    header, tensors = read_agent(agent)
+    extractors = ("features_extractor", "pi_features_extractor", "vf_features_extractor")
+    sizes = [len(subset(tensors, f"policy/{name}.")) for name in extractors]
+    assert sizes[0] > 0 and sizes == [sizes[0]] * 3
+    assert len(header.aliases) == 2 * sizes[0]
+    with safe_open(agent, framework="pt") as file:
+        assert len(file.keys()) == len(tensors) - len(header.aliases)
+    assert read_agent(agent, prefix="policy/vf_")[1].keys() <= header.aliases.keys()
+    for wrong in ({"a": "nowhere"}, {"a": 3}, ["a"]):
+        content = {**asdict(header), "aliases": wrong}
+        save_file(tensors, agent, {"header": json.dumps(content)})
+        with pytest.raises(ValueError, match=r"damaged header|not a whole safetensors file"):
+            read_agent(agent)
+
+
+def test_finished_policies_are_in_half_precision(agent: Path) -> None:
+    _, tensors = read_agent(agent)
+    weights = [t for t in tensors.values() if t.is_floating_point()]
+    assert weights and all(t.dtype == torch.float16 for t in weights)
+    full = read_agent(agent.with_name(CHECKPOINT), prefix="policy/")[1]
+    assert full.keys() == tensors.keys()
+    for key, tensor in full.items():
+        assert torch.equal(tensor.to(tensors[key].dtype), tensors[key]), key
 
 
 class Bomb:

@@ -100,8 +100,8 @@ def test_weights_with_own_decoders_load(stage, tmp_path):
     save_weights(stage.networks, tmp_path / "own.safetensors", {})
     read = read_networks(tmp_path / "own.safetensors")
     assert read.config.features.own_decoders
-    assert torch.all(read.features.decoders[1].trunk[0].weight == 0.25)
-    assert not torch.all(read.features.decoders[0].trunk[0].weight == 0.25)
+    assert torch.allclose(read.features.decoders[1].trunk[0].weight, torch.tensor(0.25), rtol=4e-3)
+    assert read.features.decoders[0].trunk[0].weight.std() > 1e-3
 
 
 def test_training_all_objects_together_shares_the_decoder_again(stage):

@@ -22,7 +22,7 @@ def test_they_name_their_sources_and_hold_no_mesh():
         assert word in header["attribution"]
     generated = header["trained_on"]["generate"]["settings"]
     assert generated["look"] == "busy" and set(generated["objects"]) == set(NAMES)
-    assert (SHIPPED / "lmo.safetensors").stat().st_size <= 25e6
+    assert (SHIPPED / "lmo.safetensors").stat().st_size <= 12e6
     stored = [path for path in (SHIPPED / "lmo_objects").rglob("*") if path.is_file()]
     assert {path.name for path in stored} == {"object.json"} and len(stored) == 8
     assert sum(path.stat().st_size for path in stored) < 40e3
