@@ -60,6 +60,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         objects: Sequence[str | Path] | Mapping[str, ObjectModel] | str | Path | None = None,
         scene: str | SceneConfig = "linemod",
         estimator: str | Path | PoseEstimator | None = "mid",
+        device: str = "auto",
         travel_weight: float = 0.05,
         pose_noise: PoseNoise | tuple[float, float] | None = None,
         randomization: Randomization | None = None,
@@ -83,7 +84,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         self._carrier = FreeFlyingCarrier() if carrier is None else carrier
         self._objects = dict(objects) if isinstance(objects, Mapping) else load_objects(objects)
         self._names = tuple(self._objects)
-        self._estimator = resolve_estimator(estimator)
+        self._estimator = resolve_estimator(estimator, device)
         check_known_objects(self._estimator, self._names)
         self._studio_config = StudioConfig(
             self._objects,

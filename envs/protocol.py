@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from ..pose_estimator.device import resolve_device
 from ..pose_estimator.estimate import PoseEstimate
 from ..pose_estimator.geometry import View
 
@@ -37,41 +38,53 @@ class PoseEstimator(Protocol):
 
 
 @cache
-def _load(method: str) -> PoseEstimator:
-    """Loads shipped weights once a process, for all its environments."""
+def _load(method: str, device: str) -> PoseEstimator:
+    """Loads shipped weights once a process and device, for all its environments."""
     from .. import pose_estimator  # imports torch: only now
 
-    return pose_estimator.load(method)
+    return pose_estimator.load(method, device=device)
 
 
-def _load_file(weights: str | Path) -> PoseEstimator:
-    """Mid-Fusion with a user's own weights, which are read once a process."""
+def _load_file(weights: str | Path, device: str) -> PoseEstimator:
+    """Mid-Fusion with a user's own weights, which are read once a process and device."""
     from .. import pose_estimator
 
-    return pose_estimator.load("mid", weights)
+    return pose_estimator.load("mid", weights, device=device)
 
 
-def resolve_estimator(estimator: str | Path | PoseEstimator | None) -> PoseEstimator | None:
+def resolve_estimator(
+    estimator: str | Path | PoseEstimator | None, device: str = "auto"
+) -> PoseEstimator | None:
     """Turns the environment's ``estimator`` argument into an estimator.
 
     Args:
         estimator: the name of a method whose shipped weights are loaded (``"mid"``,
             ``"single"``), a ``.safetensors`` file of your own for ``"mid"``, an object with an
             ``estimate`` method, or None for rendering only.
+        device: where an estimator that is loaded here runs, see ``pose_estimator.load``. An object
+            of your own has chosen its own; without an estimator it means nothing.
 
     Raises:
-        ValueError: if it is none of these.
+        ValueError: if the estimator is none of these, there is no such device, or a device is given
+            for an object of your own.
         FileNotFoundError: if there is no such file.
     """
     if estimator is None:
         return None
     if isinstance(estimator, str | Path):
         own = Path(estimator).suffix == ".safetensors"
-        return _load_file(estimator) if own else _load(str(estimator))
+        # One estimator for "auto" and the name of the same device.
+        found = str(resolve_device(device))
+        return _load_file(estimator, found) if own else _load(str(estimator), found)
     if not callable(getattr(estimator, "estimate", None)):
         raise ValueError(
             "estimator must be the name of a method, a .safetensors file, an object with "
             f"estimate(views, object_name), or None; got {estimator!r}"
+        )
+    if device != "auto":
+        raise ValueError(
+            "device is for an estimator that is loaded by name or from a file; your own object "
+            f'runs where you made it: leave device at "auto", got {device!r}'
         )
     return estimator
 

@@ -138,6 +138,9 @@ class TwoViewPoseEnv(PeekingEnv):
     |                 |              | `"mid"`; or your own object with                       |
     |                 |              | `estimate(views, object_name)`; or None: rendering     |
     |                 |              | only, pose fields zero, reward for travel alone        |
+    | `device`        | `"auto"`     | where that estimator runs: `"auto"` (a GPU where there |
+    |                 |              | is one), `"cpu"`, `"cuda"`, `"cuda:N"` or `"mps"`;     |
+    |                 |              | your own object chooses for itself: leave `"auto"`     |
     | `travel_weight` | 0.05         | price of a metre of camera travel                      |
     | `pose_noise`    | None         | `PoseNoise` or (degrees, metres): standard deviation   |
     |                 |              | of the error in the relative camera pose that the      |

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    import torch
+
     from .single_view import SingleViewEstimator
 
 METHODS = ("single", "early", "late", "mid", "rgbd")
@@ -21,6 +23,8 @@ def load(
     *,
     preset: str | None = None,
     solver: str = "soft",
+    device: str | torch.device = "auto",
+    threads: int = 0,
 ) -> SingleViewEstimator:
     """Loads an estimator with trained weights.
 
@@ -32,18 +36,25 @@ def load(
         preset: of the volumes, ``fast`` or ``paper``, where it has to be a certain one; None takes
             what the weights were trained for.
         solver: from 3D keypoints to the pose, one of ``solvers.SOLVERS``.
+        device: where the networks run: ``auto`` (a GPU where there is one), ``cpu``, ``cuda``,
+            ``cuda:N`` or ``mps``.
+        threads: how many threads of the processor an estimate may use; 0: all cores.
 
     Returns:
         An object with ``estimate(views, object_name)`` and ``object_names``.
 
     Raises:
-        ValueError: if the method, preset or solver is unknown, or the weights are damaged, were
-            trained for another preset, or lack what the method needs.
+        ValueError: if the method, preset, solver or device is unknown, there is no such device,
+            threads is negative, or the weights are damaged, were trained for another preset, or
+            lack what the method needs.
         FileNotFoundError: if there are no such weights.
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; there are {', '.join(METHODS)}")
+    if threads < 0:
+        raise ValueError(f"threads must be at least 0, got {threads}")
     # These import torch, which the rest of the package must not do.
+    from .device import resolve_device
     from .early_fusion import EarlyFusionEstimator
     from .late_fusion import LateFusionEstimator
     from .mid_fusion import MidFusionEstimator
@@ -61,7 +72,7 @@ def load(
     }
     if preset is not None and preset not in PRESETS:
         raise ValueError(f"unknown preset {preset!r}; there are {', '.join(PRESETS)}")
-    networks = load_networks(weights)
+    networks = load_networks(weights, resolve_device(device))
     if preset not in (None, networks.config.preset):
         raise ValueError(
             f"the weights {str(weights)!r} were trained for the preset "
@@ -75,4 +86,4 @@ def load(
             "Add it, with a dataset that was generated with --depth: python -m two_view_pose "
             f"train-estimator --stages {part} --init {weights} --data DIR --out DIR"
         )
-    return estimators[method](networks, solver)
+    return estimators[method](networks, solver, threads=threads)

@@ -42,6 +42,16 @@ def resolve_device(device: str | torch.device = "auto") -> torch.device:
     return found
 
 
+def check_device(device: str) -> None:
+    """Refuses a device that is not there, before anything slow; imports torch only to look for one.
+
+    Raises:
+        ValueError: see :func:`resolve_device`.
+    """
+    if device not in ("auto", "cpu"):
+        resolve_device(device)
+
+
 def _check_cuda(device: torch.device) -> None:
     import torch
 

@@ -121,18 +121,20 @@ def find_weights(weights: str | Path) -> Path:
 
 
 @cache
-def _load_cached(path: Path, modified: int) -> PoseNetworks:
-    return read_networks(path)
+def _load_cached(path: Path, modified: int, device: torch.device) -> PoseNetworks:
+    return read_networks(path).to(device)
 
 
-def load_networks(weights: str | Path = "linemod") -> PoseNetworks:
-    """Networks in evaluation mode, read once a process.
+def load_networks(
+    weights: str | Path = "linemod", device: torch.device = torch.device("cpu")
+) -> PoseNetworks:
+    """Networks in evaluation mode, read once a process for each device.
 
     Raises:
         FileNotFoundError, ValueError: see :func:`find_weights` and :func:`read_networks`.
     """
     path = find_weights(weights)
-    return _load_cached(path.resolve(), path.stat().st_mtime_ns).eval()
+    return _load_cached(path.resolve(), path.stat().st_mtime_ns, device).eval()
 
 
 def read_networks(path: str | Path) -> PoseNetworks:

@@ -1,0 +1,62 @@
+"""Where an environment's estimator runs."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import pytest
+import torch
+from estimators import PickyEstimator
+from two_view_pose import pose_estimator
+from two_view_pose.assets import OBJECT_NAMES
+from two_view_pose.envs import protocol
+
+IDS = ("TwoViewPose-v0", "TwoViewPoseDiscrete-v0", "TwoViewPoseSequential-v0")
+
+
+class Knowing(PickyEstimator):
+    """Knows the thirteen objects."""
+
+    object_names = OBJECT_NAMES
+
+
+@pytest.fixture
+def loaded(monkeypatch):
+    """What ``load`` is asked for; every device there could be is there."""
+    asked = []
+
+    def load(method, weights="linemod", *, device="auto"):
+        asked.append((method, str(weights), device))
+        return Knowing()
+
+    monkeypatch.setattr(pose_estimator, "load", load)
+    monkeypatch.setattr(
+        protocol, "resolve_device", lambda d: torch.device("cpu" if d == "auto" else d)
+    )
+    protocol._load.cache_clear()
+    yield asked
+    protocol._load.cache_clear()
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_an_estimator_is_loaded_onto_the_device(env_id, loaded):
+    gym.make(env_id, device="cuda:1").close()
+    gym.make(env_id, device="cuda:1", estimator="own.safetensors").close()
+    assert loaded == [("mid", "linemod", "cuda:1"), ("mid", "own.safetensors", "cuda:1")]
+
+
+def test_one_estimator_a_device(loaded):
+    on_cpu, by_itself = (protocol.resolve_estimator("mid", d) for d in ("cpu", "auto"))
+    assert on_cpu is by_itself
+    assert protocol.resolve_estimator("mid", "cuda") is not on_cpu
+    assert [device for *_, device in loaded] == ["cpu", "cuda"]
+
+
+def test_a_device_that_is_not_there(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(ValueError, match="device 'cuda:7'"):
+        gym.make("TwoViewPose-v0", device="cuda:7")
+
+
+def test_an_object_of_the_caller_has_its_own_device(make):
+    with pytest.raises(ValueError, match="leave device at \"auto\", got 'cpu'"):
+        make(estimator=Knowing(), device="cpu")
