@@ -107,7 +107,9 @@ def candidate_features(camera: Tensor, translation: Tensor) -> Tensor:
     up = torch.stack([-s * torch.sin(roll), -s * torch.cos(roll), c], dim=1)
     ahead = nn.functional.normalize(back - (back * up).sum(1, keepdim=True) * up, dim=1)
     side = torch.linalg.cross(up, ahead)
-    azimuths, elevations = torch.tensor(np.deg2rad(CANDIDATE_VIEWS), dtype=camera.dtype).unbind(1)
+    azimuths, elevations = torch.tensor(
+        np.deg2rad(CANDIDATE_VIEWS), dtype=camera.dtype, device=camera.device
+    ).unbind(1)
     x = torch.cos(elevations) * torch.cos(azimuths)
     y = torch.cos(elevations) * torch.sin(azimuths)
     z = torch.sin(elevations)

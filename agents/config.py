@@ -58,15 +58,16 @@ class TrainAgentConfig:
     """Environments side by side, which are asked for estimates together; by default n_envs of the
     hyper-parameters."""
     seed: int = 0
-    """Seed; same seed, same weights."""
+    """Seed; same seed, same weights, on the processor."""
     checkpoint_every: int = 1000
     """Environment steps between checkpoints."""
     resume: bool = True
     """Go on from the folder's checkpoint if there is one; if not set, start anew and replace it."""
     hyperparameters: Path | None = None
     """YAML file in rl-zoo3's form; by default the one that ships."""
-    device: str = "cpu"
-    """Torch device."""
+    device: str = "auto"
+    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
+    `cuda:N` or `mps`."""
     progress: bool = True
     """Show a progress bar."""
     json: Path | None = None
@@ -102,6 +103,11 @@ class TrainAgentConfig:
             return {"bank": str(self.bank), "action": action} | self.env_kwargs
         return environment_arguments(self.scene, self.objects, self.estimator, self.env_kwargs)
 
+    @property
+    def device_argument(self) -> dict[str, Any]:
+        """Where the environment's estimator runs: apart, so that a run may go on elsewhere."""
+        return device_argument(None if self.bank is not None else self.estimator, self.device)
+
 
 @dataclass(frozen=True)
 class EvaluateAgentConfig:
@@ -133,6 +139,9 @@ class EvaluateAgentConfig:
     """Names of objects or mesh files; by default the 13 of LineMOD."""
     estimator: str = "mid"
     """What estimates the pose: `mid`, `single`, or a .safetensors file of your own for `mid`."""
+    device: str = "auto"
+    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
+    `cuda:N` or `mps`."""
     progress: bool = True
     """Show a progress bar."""
     json: Path | None = None
@@ -155,7 +164,8 @@ class EvaluateAgentConfig:
     @property
     def environment_arguments(self) -> dict[str, Any]:
         """What the environment is made with."""
-        return environment_arguments(self.scene, self.objects, self.estimator, self.env_kwargs)
+        own = environment_arguments(self.scene, self.objects, self.estimator, self.env_kwargs)
+        return own | device_argument(self.estimator, self.device)
 
 
 def environment_arguments(
@@ -166,3 +176,8 @@ def environment_arguments(
     if objects:
         arguments["objects"] = list(objects)
     return arguments | more
+
+
+def device_argument(estimator: str | None, device: str) -> dict[str, Any]:
+    """The ``device`` of ``gymnasium.make`` where an estimator is loaded and not by its default."""
+    return {"device": device} if estimator is not None and device != "auto" else {}

@@ -12,6 +12,7 @@ import gymnasium as gym
 import numpy as np
 from PIL import Image
 
+from ..pose_estimator.device import check_device
 from ..pose_estimator.results import write_atomically, write_results
 from .config import Scene
 
@@ -35,6 +36,9 @@ class DemoConfig:
     """Same seed, same scene."""
     env: Literal["TwoViewPose-v0", "TwoViewPoseDiscrete-v0"] = "TwoViewPose-v0"
     """Any view on the sphere, or one of a fixed set."""
+    device: str = "auto"
+    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
+    `cuda:N` or `mps`."""
     out: Path = Path("demo.png")
     """Where the picture goes."""
     json: Path | None = None
@@ -51,15 +55,21 @@ def demo(config: DemoConfig) -> None:
     """Plays one episode, prints the error of the pose before and after, and writes the picture.
 
     Raises:
-        ValueError: if an option is wrong or the weights are missing.
+        ValueError: if an option is wrong, there is no such device, or the weights are missing.
         GraphicsUnavailable: if there is no OpenGL to draw with.
     """
+    check_device(config.device)
     started = perf_counter()
     from .policies import make_policy
 
-    env = gym.make(f"two_view_pose:{config.env}", scene=config.scene, render_mode="rgb_array")
+    env = gym.make(
+        f"two_view_pose:{config.env}",
+        scene=config.scene,
+        device=config.device,
+        render_mode="rgb_array",
+    )
     try:
-        policy = make_policy(config.policy, env)
+        policy = make_policy(config.policy, env, config.device)
         options = {} if config.object is None else {"object": config.object}
         observation, _ = env.reset(seed=config.seed, options=options)
         policy.reset(np.random.default_rng(config.seed))

@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from ..envs.episode import episode_seed
 from ..envs.view_bank import ViewBank
+from ..pose_estimator.device import check_device
 from ..pose_estimator.results import write_results
 from .baselines import Policy
 from .checkpoint import AgentHeader, read_agent
@@ -37,14 +38,16 @@ def evaluate_agents(config: EvaluateAgentConfig) -> list[dict[str, Any]]:
         The records of the results file, see `make_records`; ``stay`` is always among the policies.
 
     Raises:
-        ValueError: if an argument is wrong, or a file is no agent for this environment.
+        ValueError: if an argument is wrong, there is no such device, or a file is no agent for this
+            environment.
     """
+    check_device(config.device)
     outcomes: dict[str, list[Outcome]] = {}
     bank: ViewBank | None = None
     for env_id, names in _companies(config).items():
         env = _make_environment(config, env_id)
         try:
-            policies = {name: make_policy(name, env) for name in names}
+            policies = {name: make_policy(name, env, config.device) for name in names}
             bank = None if config.bank is None else env.unwrapped.bank  # type: ignore[attr-defined]
             found: dict[str, list[Outcome]] = {}
             for seed in range(config.seed, config.seed + config.seeds):

@@ -34,9 +34,10 @@ NEAR = np.deg2rad(25.0)
 """Views so close to one that has been taken are left out."""
 
 
-def to_tensors(observation: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
+def to_tensors(observation: Mapping[str, np.ndarray], device: torch.device) -> dict[str, Tensor]:
     """A batch of observations as the network takes them: images 0 to 1, channels first."""
-    tensors = {k: torch.from_numpy(np.ascontiguousarray(a)) for k, a in observation.items()}
+    arrays = {key: np.ascontiguousarray(array) for key, array in observation.items()}
+    tensors = {key: torch.from_numpy(array).to(device) for key, array in arrays.items()}
     tensors["image"] = tensors["image"].permute(0, 3, 1, 2).float() / 255.0
     return tensors
 
@@ -66,22 +67,32 @@ class GreedyAgent(nn.Module):
         )
         self.judge = Judge(judge_inputs(objects))
 
+    @property
+    def device(self) -> torch.device:
+        """Where the networks are."""
+        return next(self.parameters()).device
+
     @torch.inference_mode()
     def predict(self, observations: dict[str, Tensor], views: Tensor) -> np.ndarray:
         """Predicted min(ADD(-S) / diameter, 1) of N views, the mean over the networks, (B, N)."""
         logits = torch.stack([network(observations, views)[0] for network in self.networks])
-        return torch.sigmoid(logits).mean(dim=0).numpy()
+        return torch.sigmoid(logits).mean(dim=0).cpu().numpy()
 
     @torch.inference_mode()
     def sureness(self, first: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray]) -> float:
         """Probability that the pose of the newest of an episode's observations is right."""
-        return float(torch.sigmoid(self.judge(torch.from_numpy(judge_features(first, now)))))
+        features = torch.from_numpy(judge_features(first, now)).to(self.device)
+        return float(torch.sigmoid(self.judge(features)))
 
 
 def load_agent(
-    header: AgentHeader, observation_space: spaces.Dict, weights: Mapping[str, Tensor], what: str
+    header: AgentHeader,
+    observation_space: spaces.Dict,
+    weights: Mapping[str, Tensor],
+    what: str,
+    device: torch.device,
 ) -> GreedyAgent:
-    """The networks of an agent file.
+    """The networks of an agent file, on a device.
 
     Raises:
         ValueError: if the weights do not fit the header.
@@ -90,7 +101,7 @@ def load_agent(
         agent = GreedyAgent(observation_space, GreedyHyperparameters(**header.hyperparameters))
     check_tensors(weights, agent.state_dict(), what)
     agent.load_state_dict(weights)
-    return agent.eval()
+    return agent.eval().to(device)
 
 
 class GreedyPolicy:
@@ -138,8 +149,9 @@ class GreedyPolicy:
         env: Any = self._env
         poses = camera_poses(env, view_actions(env))
         views = view_features(env.T_cam_world[None], env.sphere_centre[None], poses[None])
-        batch = to_tensors({key: observation[key][None] for key in self._keys})
-        return self._agent.predict(batch, torch.from_numpy(views))[0]
+        device = self._agent.device
+        batch = to_tensors({key: observation[key][None] for key in self._keys}, device)
+        return self._agent.predict(batch, torch.from_numpy(views).to(device))[0]
 
     def _near_taken(self, actions: list[Any], taken: np.ndarray) -> np.ndarray:
         """1 for candidates too near to one that has been taken, more for these themselves, (N,)."""

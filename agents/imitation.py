@@ -42,19 +42,21 @@ class Lessons:
     visibility: Tensor
 
     @classmethod
-    def of(cls, bank: ViewBank, mirrored: bool = False) -> Lessons:
-        """Reads a bank, or what it would be in a mirror."""
+    def of(
+        cls, bank: ViewBank, mirrored: bool = False, device: torch.device = torch.device("cpu")
+    ) -> Lessons:
+        """Reads a bank, or what it would be in a mirror, onto a device."""
         first = bank.first
         if mirrored:
             first = Mirror(check_candidates(bank.header.candidate_views)).observation(first)
         views = view_features(bank.T_cam_world, bank.centre, bank.second_T_cam_world, mirrored)
-        observations = {k: torch.from_numpy(a.copy()) for k, a in first.items()}
+        observations = {k: torch.from_numpy(a.copy()).to(device) for k, a in first.items()}
         observations["image"] = observations["image"].permute(0, 3, 1, 2).contiguous()
         return cls(
             observations,
-            torch.from_numpy(views),
-            torch.from_numpy(np.minimum(bank.second_error, 1.0).astype(np.float32)),
-            torch.from_numpy(bank.second_visibility.astype(np.float32)),
+            torch.from_numpy(views).to(device),
+            torch.from_numpy(np.minimum(bank.second_error, 1.0).astype(np.float32)).to(device),
+            torch.from_numpy(bank.second_visibility.astype(np.float32)).to(device),
         )
 
     def and_more(self, more: Lessons) -> Lessons:
@@ -81,11 +83,12 @@ def train_agent_networks(
     seed: int,
     progress: bool = True,
     more: ViewBank | None = None,
+    device: torch.device = torch.device("cpu"),
 ) -> GreedyAgent:
-    """Trains the networks of one agent; the same arguments give the same weights.
+    """Trains the networks of one agent; on the processor the same arguments give the same weights.
 
-    One thread computes: several add up in another order, and networks as small as these gain
-    nothing by them.
+    There one thread computes: several add up in another order, and networks as small as these
+    gain nothing by them.
 
     Args:
         bank: the scenes to learn from.
@@ -94,16 +97,20 @@ def train_agent_networks(
         seed: of first weights, order and augmentation.
         progress: show a bar.
         more: further scenes, which say only what is visible from where.
+        device: where to train; all scenes are held there.
     """
-    lessons = tuple(Lessons.of(bank, mirrored) for mirrored in (False, True))
+    lessons = tuple(Lessons.of(bank, mirrored, device) for mirrored in (False, True))
     if more is not None:
-        further = (Lessons.of(more, mirrored) for mirrored in (False, True))
+        further = (Lessons.of(more, mirrored, device) for mirrored in (False, True))
         lessons = tuple(a.and_more(b) for a, b in zip(lessons, further, strict=True))
     rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
-    with torch.random.fork_rng(devices=[]), _one_thread():
+    spans = crop_spans(bank.header.diameters)
+    forked = [device] if device.type == "cuda" else []
+    with torch.random.fork_rng(devices=forked), _one_thread():
         torch.manual_seed(int(rng.integers(2**31)))
-        spans = crop_spans(bank.header.diameters)
-        agent = GreedyAgent(observation_space, hyperparameters, spans)
+        with torch.device("cpu"):  # first weights are drawn there, whatever trains them
+            agent = GreedyAgent(observation_space, hyperparameters, spans)
+        agent.to(device)
         total = hyperparameters.epochs * len(agent.networks)
         with tqdm(total=total, unit="epoch", disable=not progress) as bar:
             for network in agent.networks:
@@ -131,7 +138,7 @@ def _epochs(
     lessons: tuple[Lessons, ...],
     hyperparameters: GreedyHyperparameters,
     rng: np.random.Generator,
-) -> Iterator[float]:
+) -> Iterator[Tensor]:
     """Trains one network and yields the mean loss of each epoch."""
     h, count = hyperparameters, len(lessons[0].errors)
     optimizer = torch.optim.AdamW(
@@ -140,10 +147,11 @@ def _epochs(
     batches = -(-count // h.batch_size)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, h.epochs * batches)
     network.train()
+    device = network.spans.device
     for _ in range(h.epochs):
-        total = 0.0
+        total = torch.zeros((), device=device)  # a number would have every step wait for a GPU
         for rows in np.array_split(rng.permutation(count), batches):
-            chosen, at = lessons[int(rng.integers(2))], torch.from_numpy(rows)
+            chosen, at = lessons[int(rng.integers(2))], torch.from_numpy(rows).to(device)
             observations, views = chosen.batch(at)
             observations["image"] = _disturbed(observations["image"], rng)
             error, visible = network(observations, views)
@@ -153,7 +161,7 @@ def _epochs(
             loss.backward()
             optimizer.step()
             schedule.step()
-            total += loss.item() * len(rows)
+            total += loss.detach() * len(rows)
         yield total / count
 
 
@@ -170,12 +178,15 @@ def _disturbed(images: Tensor, rng: np.random.Generator) -> Tensor:
     """Crops (B, 3, S, S) shifted a little, brighter or darker, with more contrast or less."""
     shift = rng.integers(-SHIFT, SHIFT + 1, 2).tolist()
     size = (len(images), 1, 1, 1)
-    contrast = torch.from_numpy(rng.uniform(0.8, 1.2, size).astype(np.float32))
-    brightness = torch.from_numpy(rng.normal(0.0, 0.1, size).astype(np.float32))
+    draws = rng.uniform(0.8, 1.2, size), rng.normal(0.0, 0.1, size)
+    contrast, brightness = (
+        torch.from_numpy(draw.astype(np.float32)).to(images.device) for draw in draws
+    )
     return (torch.roll(images, shift, (2, 3)) * contrast + brightness).clamp(0.0, 1.0)
 
 
 def chosen_slots(agent: GreedyAgent, bank: ViewBank) -> np.ndarray:
     """The slot of least predicted error in every scene of a bank, (M,)."""
-    observations, views = Lessons.of(bank).batch(torch.arange(len(bank)))
+    lessons = Lessons.of(bank, device=agent.device)
+    observations, views = lessons.batch(torch.arange(len(bank), device=agent.device))
     return agent.predict(observations, views).argmin(axis=1)

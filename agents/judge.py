@@ -101,14 +101,15 @@ def judge_inputs(objects: int) -> int:
 
 def train_judge(judge: Judge, bank: ViewBank, rng: np.random.Generator) -> None:
     """Trains a judge on every estimate of a bank; ``rng`` draws the order."""
-    features, right = judged_pairs(bank)
+    device = next(judge.parameters()).device
+    features, right = (tensor.to(device) for tensor in judged_pairs(bank))
     optimizer = torch.optim.AdamW(judge.parameters(), lr=JUDGE_RATE, weight_decay=1e-2)
     batches = -(-len(right) // JUDGE_BATCH)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, JUDGE_EPOCHS * batches)
     judge.train()
     for _ in range(JUDGE_EPOCHS):
         for rows in np.array_split(rng.permutation(len(right)), batches):
-            chosen = torch.from_numpy(rows)
+            chosen = torch.from_numpy(rows).to(device)
             loss = F.binary_cross_entropy_with_logits(judge(features[chosen]), right[chosen])
             optimizer.zero_grad()
             loss.backward()

@@ -57,20 +57,22 @@ def agent_file(name_or_path: str | os.PathLike[str]) -> Path | None:
     return Path(name)
 
 
-def make_policy(name_or_path: str | os.PathLike[str], env: gym.Env) -> Policy:
+def make_policy(name_or_path: str | os.PathLike[str], env: gym.Env, device: str = "auto") -> Policy:
     """Makes a policy that acts in ``env``.
 
     Args:
         name_or_path: the name of a baseline or of a trained agent that ships, or a file that
             ``train-agent`` wrote.
         env: the environment; most baselines ask it about the running episode.
+        device: where the networks of a trained one run, see ``load_policy``.
 
     Raises:
-        ValueError: if it is neither, or the file is damaged or of other spaces than ``env``'s.
+        ValueError: if it is neither, or the file is damaged or of other spaces than ``env``'s, or
+            there is no such device for its networks.
     """
     path = agent_file(name_or_path)
     if path is None:
         return BASELINES[os.fspath(name_or_path)](env)
     from .trained import load_policy  # imports torch: only now
 
-    return load_policy(path, env, os.fspath(name_or_path))
+    return load_policy(path, env, os.fspath(name_or_path), device)

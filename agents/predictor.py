@@ -122,7 +122,7 @@ class ErrorPredictor(nn.Module):
             (B, N, P, 2) places of P points, -1 to 1 within the crop.
         """
         right, down, forward = views[..., VIEW_FEATURES:].unbind(-1)
-        along = torch.tensor(LINE_POINTS)
+        along = torch.tensor(LINE_POINTS, device=views.device)
         half = (observations["object"] @ self.spans).clamp(min=1e-3)[:, None, None] / 2
         distance = observations["camera"][:, 0].clamp(min=0.2)[:, None, None]
         nearer = distance / (distance + forward[..., None] * along).clamp(min=0.1)

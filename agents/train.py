@@ -16,6 +16,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
+from ..pose_estimator.device import check_device, resolve_device
 from ..pose_estimator.results import write_results
 from .candidates import take_predictor
 from .checkpoint import AgentHeader, describe_space, read_agent, write_agent
@@ -46,8 +47,10 @@ def train_agent(config: TrainAgentConfig) -> Path:
         The file of the trained policy, for ``evaluate-agent``.
 
     Raises:
-        ValueError: if an argument is wrong, or the folder holds a run of other arguments.
+        ValueError: if an argument is wrong, there is no such device, or the folder holds a run of
+            other arguments.
     """
+    check_device(config.device)
     if config.record:
         record_missing(config)
     entry = load_hyperparameters(
@@ -61,7 +64,8 @@ def train_agent(config: TrainAgentConfig) -> Path:
     n_envs = config.n_envs or entry.get("n_envs", 1)
     if not all(isinstance(value, int) and value > 0 for value in (steps, n_envs)):
         raise ValueError(f"n_timesteps and n_envs must be at least 1, got {steps} and {n_envs}")
-    arguments, replay = config.environment_arguments, config.bank is not None
+    arguments = config.environment_arguments | config.device_argument
+    replay = config.bank is not None
     learning, validating = split_bank(config) if replay else ({}, {})
     venv = _environments(config.env_id, arguments | learning, n_envs, replay)
     venv.seed(config.seed)
@@ -144,7 +148,7 @@ def _make_model(config: TrainAgentConfig, entry: dict[str, Any], venv: VecEnv) -
         "MultiInputPolicy",
         venv,
         seed=config.seed,
-        device=config.device,
+        device=resolve_device(config.device),
         tensorboard_log=os.fspath(config.out / LOGS),
         **algorithm_kwargs(entry),
     )

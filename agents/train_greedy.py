@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 
 from ..envs.view_bank import ViewBank, read_bank
+from ..pose_estimator.device import resolve_device
 from ..pose_estimator.results import write_results
 from .checkpoint import AgentHeader, describe_space, write_agent
 from .config import TrainAgentConfig
@@ -44,6 +45,7 @@ def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
         config.seed,
         config.progress,
         None if config.more_scenes is None else read_bank(config.more_scenes),
+        resolve_device(config.device),
     )
     seconds = time.perf_counter() - began
     header = AgentHeader(

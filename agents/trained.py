@@ -14,6 +14,7 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.vec_env import VecTransposeImage
 
+from ..pose_estimator.device import resolve_device
 from .baselines import Policy
 from .checkpoint import AgentHeader, check_tensors, describe_space, read_agent, subset
 from .greedy import GreedyPolicy, load_agent
@@ -43,31 +44,36 @@ class TrainedPolicy:
         return int(action) if isinstance(self._policy.action_space, spaces.Discrete) else action
 
 
-def load_policy(path: str | os.PathLike[str], env: gym.Env, name: str | None = None) -> Policy:
+def load_policy(
+    path: str | os.PathLike[str], env: gym.Env, name: str | None = None, device: str = "auto"
+) -> Policy:
     """Loads what ``train-agent`` wrote, a ``policy.safetensors`` or a ``checkpoint.safetensors``.
 
     Args:
         path: the file.
         env: the environment it will act in.
         name: what tables call it; by default the path.
+        device: where its networks run: ``auto`` (a GPU where there is one), ``cpu``, ``cuda``,
+            ``cuda:N`` or ``mps``.
 
     Raises:
         FileNotFoundError: if there is no such file.
         ValueError: if it is not an agent file, is damaged, or was trained on other observations
-            or actions than those of ``env``.
+            or actions than those of ``env``, or there is no such device.
     """
+    place = resolve_device(device)
     header, tensors = read_agent(path, prefix="policy/")
     check_hyperparameters(header.algo, header.hyperparameters)
     _check_spaces(header, env, path)
     weights = subset(tensors, "policy/")
     if header.algo == GREEDY:
         known = {key: channels_first(env)[key] for key in header.observation_space}
-        agent = load_agent(header, spaces.Dict(known), weights, f"agent file {path}")
+        agent = load_agent(header, spaces.Dict(known), weights, f"agent file {path}", place)
         return GreedyPolicy(agent, header, env, name or os.fspath(path))
     policy = _build(header, env)
     check_tensors(weights, policy.state_dict(), f"agent file {path}")
     policy.load_state_dict(weights)
-    return TrainedPolicy(policy, header, name or os.fspath(path))
+    return TrainedPolicy(policy.to(place), header, name or os.fspath(path))
 
 
 def channels_first(env: gym.Env) -> spaces.Dict:

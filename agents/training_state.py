@@ -50,14 +50,14 @@ def state_tensors(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
     for name, optimizer in _optimizers(model).items():
         for index, entries in optimizer.state_dict()["state"].items():
             for key, value in entries.items():
-                tensors[f"optimizer/{name}/{index}/{key}"] = torch.as_tensor(value)
+                tensors[f"optimizer/{name}/{index}/{key}"] = torch.as_tensor(value, device="cpu")
     for name in _variables(model):
         tensors[f"variable/{name}"] = getattr(model, name)
     buffer = getattr(model, "replay_buffer", None)
     if buffer is not None:
         for name, array in _replay_arrays(buffer).items():
             tensors[f"replay/{name}"] = torch.from_numpy(array[: buffer.size()])
-        tensors["replay/position"] = torch.tensor(buffer.pos)
+        tensors["replay/position"] = torch.tensor(buffer.pos, device="cpu")
     return tensors
 
 

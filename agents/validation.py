@@ -27,9 +27,13 @@ def record_missing(config: TrainAgentConfig) -> None:
     from ..envs.record_bank import RecordBankConfig, record_bank
 
     if config.bank is not None and not config.bank.exists():
-        record_bank(RecordBankConfig(out=config.bank, scenes=1000, seed=101))
+        record_bank(RecordBankConfig(out=config.bank, scenes=1000, seed=101, device=config.device))
     if config.more_scenes is not None and not config.more_scenes.exists():
-        record_bank(RecordBankConfig(out=config.more_scenes, scenes=2500, seed=303, answers=False))
+        record_bank(
+            RecordBankConfig(
+                out=config.more_scenes, scenes=2500, seed=303, answers=False, device=config.device
+            )
+        )
 
 
 def split_bank(config: TrainAgentConfig) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..pose_estimator.device import check_device
 from ..pose_estimator.study_config import CompareConfig
 
 
@@ -9,7 +10,8 @@ def compare(config: CompareConfig) -> None:
     """Runs the comparative study and writes results.json, report.html and figures/ to its folder.
 
     Raises:
-        ValueError: if no method can be run, or the folder holds another study's tests.
+        ValueError: if no method can be run, there is no such device, or the folder holds another
+            study's tests.
         FileNotFoundError: if there are no such weights.
         GraphicsUnavailable: if a test has to be rendered and there is no OpenGL to draw with.
     """
@@ -17,6 +19,7 @@ def compare(config: CompareConfig) -> None:
     from ..pose_estimator.results import write_results
 
     if not config.report_only:
+        check_device(config.device)
         from ..pose_estimator.study import StudySet
         from ..pose_estimator.study_run import Study
         from ..pose_estimator.study_units import TESTS

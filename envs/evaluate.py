@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+from ..pose_estimator.device import check_device
 from ..pose_estimator.evaluate import evaluate_dataset
 from ..pose_estimator.evaluate_config import EvaluateConfig
 from ..pose_estimator.find_dataset import find_dataset
@@ -16,7 +17,7 @@ def evaluate(config: EvaluateConfig) -> None:
     """Measures an estimator, or somebody's poses, on our scenes or on a BOP dataset.
 
     Raises:
-        ValueError: if the data or the weights are not usable.
+        ValueError: if the data, the weights or the device are not usable.
         FileNotFoundError: if the weights or the dataset are missing.
     """
     if config.score is not None:
@@ -28,6 +29,7 @@ def evaluate(config: EvaluateConfig) -> None:
         root = find_dataset(config.data)
         score_file(config, root, {"dataset": root.name})
         return
+    check_device(config.device)
     if config.data is not None:
         root = find_dataset(config.data)
         evaluate_dataset(config, root, {"dataset": root.name})

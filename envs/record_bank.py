@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from tqdm import tqdm
 
+from ..pose_estimator.device import check_device
+
 if TYPE_CHECKING:
     from .bank_recorder import BankRecorder
     from .view_bank import BankHeader, ViewBank
@@ -57,6 +59,9 @@ class RecordBankConfig:
     """Its list of pairs of views; by default its own, or what can be found from the poses."""
     weights: str = "lmo"
     """Weights for that dataset: a name or a file."""
+    device: str = "auto"
+    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
+    `cuda:N` or `mps`."""
     workers: int = 2
     """Processes that record."""
     worker_memory: float = 2.5
@@ -81,7 +86,11 @@ class RecordBankConfig:
     @property
     def environment_arguments(self) -> dict[str, Any]:
         """What the environment is made with."""
-        arguments: dict[str, Any] = {"scene": self.scene, "estimator": self.estimator}
+        arguments: dict[str, Any] = {
+            "scene": self.scene,
+            "estimator": self.estimator,
+            "device": self.device,
+        }
         if self.pose_noise is not None:
             arguments["pose_noise"] = self.pose_noise
         return arguments | ({"objects": list(self.objects)} if self.objects else {})
@@ -97,7 +106,8 @@ def record_bank(config: RecordBankConfig) -> None:
     """Records the scenes that are missing and writes the bank.
 
     Raises:
-        ValueError: if the file or the folder of its parts is of another bank, or is damaged.
+        ValueError: if the file or the folder of its parts is of another bank, or is damaged, or
+            there is no such device.
         GraphicsUnavailable: if there is no OpenGL to draw with.
     """
     from .view_bank import read_bank
@@ -108,6 +118,7 @@ def record_bank(config: RecordBankConfig) -> None:
             _check_same(bank.header, config)
         describe(config.out, bank)
         return
+    check_device(config.device)
     if config.data is not None:
         from .real_bank import record_real_bank
 
@@ -207,7 +218,7 @@ def describe(path: Path, bank: ViewBank) -> None:
 
 
 def _settings(config: RecordBankConfig) -> dict[str, Any]:
-    aside = ("out", "scenes", "workers", "worker_memory", "verify")
+    aside = ("out", "scenes", "device", "workers", "worker_memory", "verify")
     return {
         k: v
         for k, v in json.loads(json.dumps(asdict(config), default=str)).items()

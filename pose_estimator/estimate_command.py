@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
+from .device import check_device
 from .geometry import LINEMOD_K, View, check_intrinsics, check_rigid
 from .input_files import read_depth_map, read_image, read_matrix
 from .results import write_atomically, write_results
@@ -48,6 +49,9 @@ class EstimateConfig:
     """Metres that one step of the depth map means; none = 0.001 for whole numbers, 1 for others."""
     weights: str = "linemod"
     """Name of shipped weights, or a file."""
+    device: str = "auto"
+    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
+    `cuda:N` or `mps`."""
     out: Path = Path("pose.json")
     """Where the pose goes."""
     overlay: Path | None = Path("overlay.png")
@@ -140,12 +144,13 @@ def estimate_files(config: EstimateConfig) -> None:
         FileNotFoundError: if a file is missing.
         ValueError: if an input is wrong; the message names it.
     """
+    check_device(config.device)
     views = read_views(config)
     # After the inputs are known to be good: this imports torch.
     from . import load
     from .overlay import ESTIMATE_COLOUR, draw_poses
 
-    estimator = load(config.method, config.weights)
+    estimator = load(config.method, config.weights, device=config.device)
     started = perf_counter()
     answer = estimator.estimate(views, config.object)
     seconds = perf_counter() - started

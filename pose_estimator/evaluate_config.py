@@ -58,8 +58,11 @@ class EvaluateConfig:
     """Run no estimator: score this BOP result file, anyone's, on --data."""
     keep: Path | None = None
     """Keep the rendered scenes in this folder; if they are there already, use them."""
+    device: str = "auto"
+    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
+    `cuda:N` or `mps`."""
     threads: int = 0
-    """Threads of the networks; 0 = as many as there are cores."""
+    """Threads of the processor that estimates may use; 0: all cores."""
     json: Path | None = None
     """Write the figures as a results file."""
 
@@ -67,3 +70,5 @@ class EvaluateConfig:
         low, high = self.baselines
         if not 0 <= low <= high <= 180:
             raise ValueError(f"baselines must rise within 0 to 180, got {self.baselines}")
+        if self.threads < 0:
+            raise ValueError(f"threads must be at least 0, got {self.threads}")

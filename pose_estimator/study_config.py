@@ -45,8 +45,11 @@ class CompareConfig:
     seed: int = 0
     """Of the errors of the relative pose, the pairs that are drawn, and the intervals. The tests
     have seeds of their own."""
+    device: str = "auto"
+    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
+    `cuda:N` or `mps`."""
     threads: int = 0
-    """Threads of the networks; 0 = as many as there are cores."""
+    """Threads of the processor that estimates may use; 0: all cores."""
     report_only: bool = False
     """Only draw the charts and the page again from results.json."""
 

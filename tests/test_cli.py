@@ -20,17 +20,17 @@ from two_view_pose.envs import protocol
 from two_view_pose.pose_estimator.geometry import LINEMOD_K
 
 OPTIONS = {
-    "demo": "seed object scene policy out json",
+    "demo": "seed object scene policy device out json",
     "generate": "out scenes objects scene seed workers",
     "cut-and-paste": "data out images backgrounds split objects move seed json",
     "check-data": "split scenes images out pictures json",
     "train-estimator": "data out objects split stages init seed",
-    "evaluate": "method weights preset solver roi scene scenes objects data pairs csv score json",
-    "estimate": "reference second K relative-pose object method depth weights out overlay json",
-    "record-bank": "out scenes scene seed objects estimator answers data weights workers verify",
-    "train-agent": "algo bank init more-scenes record steps out env scene seed json",
-    "evaluate-agent": "policy scene episodes seed seeds bank figures json",
-    "compare": "out quick methods weights noisy-weights no-pose-loss-weights data report-only",
+    "evaluate": "method weights preset solver roi scene objects data pairs csv score device json",
+    "estimate": "reference second K relative-pose object method depth weights device out json",
+    "record-bank": "out scenes scene seed objects estimator answers data device workers verify",
+    "train-agent": "algo bank init more-scenes record steps out env scene seed device json",
+    "evaluate-agent": "policy scene episodes seed seeds bank figures device json",
+    "compare": "out quick methods weights noisy-weights data device threads report-only",
     "bench": "repeats weights scenes seed json",
     "doctor": "quick json",
 }
@@ -236,7 +236,7 @@ def test_estimate_hands_over_the_views_and_draws_the_pose(inputs, monkeypatch, c
     T_cam_obj = np.eye(4)
     T_cam_obj[:3, 3] = 0.05, -0.03, 0.9
     estimator = KnownPose(T_cam_obj)
-    monkeypatch.setattr(pose_estimator, "load", lambda method, weights: estimator)
+    monkeypatch.setattr(pose_estimator, "load", lambda method, weights, device: estimator)
     assert main(command(inputs.options)) == 0
 
     reference, second = estimator.views
@@ -266,7 +266,7 @@ def test_estimate_hands_over_the_views_and_draws_the_pose(inputs, monkeypatch, c
 
 def test_estimate_from_one_photograph(inputs, monkeypatch):
     estimator = KnownPose(np.eye(4))
-    monkeypatch.setattr(pose_estimator, "load", lambda method, weights: estimator)
+    monkeypatch.setattr(pose_estimator, "load", lambda method, weights, device: estimator)
     alone = {"second": None, "relative-pose": None, "K": "572.4114,573.57043,325.2611,242.04899"}
     assert main(command(inputs.options | alone)) == 0
     (view,) = estimator.views
@@ -279,7 +279,7 @@ def test_estimate_from_one_photograph(inputs, monkeypatch):
 )
 def test_estimate_from_a_photograph_with_depth(inputs, monkeypatch, suffix, kind):
     estimator = KnownPose(np.eye(4))
-    monkeypatch.setattr(pose_estimator, "load", lambda method, weights: estimator)
+    monkeypatch.setattr(pose_estimator, "load", lambda method, weights, device: estimator)
     options = {"second": None, "relative-pose": None, "method": "rgbd"}
     options["depth"] = depth_map(inputs, suffix=suffix, kind=kind)
     assert main(command(inputs.options | options)) == 0
@@ -323,7 +323,7 @@ class Improving(KnownPose):
 def test_demo_writes_a_picture_and_the_errors(tmp_path, monkeypatch, capsys):
     T_cam_obj = np.eye(4)
     T_cam_obj[:3, 3] = 0.0, 0.0, 0.4  # nearer than any object is
-    monkeypatch.setattr(protocol, "_load", lambda method: Improving(T_cam_obj))
+    monkeypatch.setattr(protocol, "_load", lambda method, device: Improving(T_cam_obj))
     picture, results = tmp_path / "demo.png", tmp_path / "demo.json"
     frames = []
     for _ in range(2):

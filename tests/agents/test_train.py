@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -160,6 +161,22 @@ def test_a_folder_of_another_run_is_refused(
     with pytest.raises(ValueError, match=message):
         train_agent(config(steps=64, **fields))
     train_agent(config(steps=32, resume=False, **fields))
+
+
+def test_training_goes_on_on_another_device(config: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The device is no part of what identifies a run, nor of its file."""
+    devices, environments = [], train._environments
+
+    def made(env_id: str, arguments: dict[str, Any], *others: Any) -> Any:
+        devices.append(arguments.get("device", "auto"))
+        return environments(env_id, arguments, *others)
+
+    monkeypatch.setattr(train, "_environments", made)
+    train_agent(config(steps=32, estimator="mid", device="cpu"))
+    path = train_agent(config(steps=64, estimator="mid", device="auto"))
+    assert devices == ["cpu", "auto"]
+    header, _ = read_agent(path)
+    assert header.steps == 64 and header.env_kwargs == {"scene": "linemod", "estimator": "mid"}
 
 
 def test_wrong_arguments(config: Make) -> None:

@@ -29,7 +29,13 @@ class ToyViewEnv(gym.Env):
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
-    def __init__(self, scene: str = "linemod", estimator: object = None, gain: float = 1.0) -> None:
+    def __init__(
+        self,
+        scene: str = "linemod",
+        estimator: object = None,
+        gain: float = 1.0,
+        device: str = "auto",
+    ) -> None:
         self.gain = gain
         self.observation_space = spaces.Dict(
             {
