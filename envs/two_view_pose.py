@@ -116,8 +116,9 @@ class TwoViewPoseEnv(PeekingEnv):
     ## Vector environments
 
     `gym.make_vec("two_view_pose:TwoViewPose-v0", num_envs=8)` is a `TwoViewPoseVectorEnv`: lane `i`
-    answers exactly as a single environment with its seed, but the estimator is asked once for many
-    lanes, while other processes arrange and render (`workers`; 0: none). A lane resets in the very
+    answers exactly as a single environment with its seed (an estimator on a GPU rounds a batch
+    otherwise), but the estimator is asked once for many lanes, while other processes arrange and
+    render (`workers`; 0: none). A lane resets in the very
     step that ends its episode (`AutoresetMode.SAME_STEP`), as every step does here; the final
     observation and info are `infos["final_obs"]` and `infos["final_info"]`. Workers are spawned: a
     script needs `if __name__ == "__main__":`. Gymnasium's own vectorizers default to `NEXT_STEP`,

@@ -41,7 +41,8 @@ def make_two_view_pose_discrete(num_envs: int = 1, **kwargs: Any) -> TwoViewPose
 class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
     """Lanes of one environment, each with a scene of its own.
 
-    Lane ``i`` answers exactly as a single environment does that was reset with its seed. A step
+    Lane ``i`` answers exactly as a single environment does that was reset with its seed (with an
+    estimator on a GPU: but for the rounding of another batch). A step
     takes the second view of every lane, asks the estimator once for all lanes
     (``estimate_batch``, where it has one), and begins every lane's next episode; what the last step
     of an episode showed is in ``info["final_obs"]`` and ``info["final_info"]``. While the estimator
@@ -86,7 +87,9 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
             self._studios.append(made)
             return made
 
-        self._estimator = resolve_estimator(kwargs.pop("estimator", "mid"))
+        self._estimator = resolve_estimator(
+            kwargs.pop("estimator", "mid"), kwargs.pop("device", "auto")
+        )
         # An estimator that bears it is asked from two threads: while one computes between the
         # networks, which Python does on one core, the networks run for the other.
         crews = min(2, num_envs) if getattr(self._estimator, "thread_safe", False) else 1

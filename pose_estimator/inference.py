@@ -31,7 +31,7 @@ _CROPS = 3
 quicker, and other cores have nothing to do."""
 
 _CORES = 8
-"""Cores at most for an item that is alone: with more, answers were no longer the same to the bit."""
+"""Cores at most for an item that is alone; with more, answers were not the same to the bit."""
 
 _GPU_ITEMS = 64
 """Items of a batch on a GPU: enough to fill it, and a bound on its memory."""

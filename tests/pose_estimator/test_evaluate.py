@@ -5,6 +5,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -202,7 +203,7 @@ def test_a_dataset_is_evaluated_and_written(opened, dataset, boxes, monkeypatch,
     oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
     asked: list[tuple] = []
 
-    def load(method: str, weights: str, **options: str | None) -> Oracle:
+    def load(method: str, weights: str, **options: Any) -> Oracle:
         asked.append((method, weights, options))
         return oracle
 
@@ -214,7 +215,8 @@ def test_a_dataset_is_evaluated_and_written(opened, dataset, boxes, monkeypatch,
     assert json.loads(target.read_text())["seed"] == 1000
     assert figure(document["records"], "add_s_recall", "mean")["value"] == 1.0
     assert all(r["method"] == "mid" and r["dataset"] == "boxes" for r in document["records"])
-    assert asked == [("mid", "linemod", {"preset": None, "solver": "soft"})]
+    usual = {"preset": None, "solver": "soft", "device": "auto", "threads": 0}
+    assert asked == [("mid", "linemod", usual)]
     printed = capsys.readouterr().out
     assert "100.0 %" in printed and "true pose" not in printed
     assert all("roi" not in r and "gap" not in r for r in document["records"])
@@ -224,7 +226,7 @@ def test_a_dataset_is_evaluated_and_written(opened, dataset, boxes, monkeypatch,
     config = EvaluateConfig(split="train_pbr", json=target, roi="truth", solver="hard")
     evaluate_dataset(config, dataset, {"dataset": "boxes"})
     document = read_results(target)
-    assert asked[-1] == ("mid", "linemod", {"preset": None, "solver": "hard"})
+    assert asked[-1] == ("mid", "linemod", {**usual, "solver": "hard"})
     assert all(r["roi"] == "truth" and r["solver"] == "hard" for r in document["records"])
     assert document["command"].endswith("--solver hard --roi truth")
     assert "regions of interest told: truth" in capsys.readouterr().out
