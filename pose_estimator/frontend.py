@@ -100,12 +100,12 @@ class Target(NamedTuple):
 
     Attributes:
         view: image and camera.
-        index: which object, in the networks' order.
+        obj: which object, in the networks' order.
         roi: where it is; None: where the detector says.
     """
 
     view: View
-    index: int
+    obj: int
     roi: Roi | None = None
 
 
@@ -131,19 +131,18 @@ class Frontend:
         """
         self._remember(len(targets))
         found: list[EncodedView | None] = [
-            self.encoded.get(t.view, t.index) if t.roi is None else None for t in targets
+            self.encoded.get(t.view, t.obj) if t.roi is None else None for t in targets
         ]
         # A view that is asked for twice, as a reference of several pairs, is encoded once.
         missing: dict[tuple[int, int, int], list[int]] = {}
         for number, target in enumerate(targets):
             if found[number] is None:
                 known = -1 if target.roi is None else number
-                missing.setdefault((id(target.view), target.index, known), []).append(number)
+                missing.setdefault((id(target.view), target.obj, known), []).append(number)
         first = [targets[numbers[0]] for numbers in missing.values()]
         maps = iter(self.detector_maps([t.view for t in first if t.roi is None]))
         located = [
-            t if t.roi is not None else t._replace(roi=self._best(next(maps), t.index))
-            for t in first
+            t if t.roi is not None else t._replace(roi=self._best(next(maps), t.obj)) for t in first
         ]
         upright = self._surest_turns(located)
         for numbers, encoded in zip(missing.values(), upright, strict=True):
@@ -151,7 +150,7 @@ class Frontend:
                 found[number] = encoded
             target = targets[numbers[0]]
             if target.roi is None:
-                self.encoded.put(target.view, target.index, encoded)
+                self.encoded.put(target.view, target.obj, encoded)
         return [encoded for encoded in found if encoded is not None]
 
     def regions(self, requests: Sequence[tuple[Sequence[View], int]]) -> list[list[Roi | None]]:
@@ -174,15 +173,14 @@ class Frontend:
 
     def detector_maps(self, views: Sequence[View]) -> list[DetectorMaps]:
         """What the detector says of all objects in full frames; the last few are remembered."""
-        found = {id(view): self.detected.get(view) for view in views}
-        new = list({id(view): view for view in views if found[id(view)] is None}.values())
+        known = {id(view): self.detected.get(view) for view in views}
+        new = list({id(view): view for view in views if known[id(view)] is None}.values())
         inputs = [detector_input(view.image, self.networks.detector.config) for view in new]
         answers = self._inference.detect([small for small, _ in inputs])
         for view, (_, to_image), answer in zip(new, inputs, answers, strict=True):
-            maps = DetectorMaps(*answer, to_image)
-            found[id(view)] = maps
-            self.detected.put(view, None, maps)
-        return [maps for view in views if (maps := found[id(view)]) is not None]
+            known[id(view)] = found = DetectorMaps(*answer, to_image)
+            self.detected.put(view, None, found)
+        return [maps for view in views if (maps := known[id(view)]) is not None]
 
     def encode_turned(
         self, targets: Sequence[Target], turns: Sequence[Sequence[float]]
@@ -200,7 +198,7 @@ class Frontend:
             upright = crop_matrix(target.roi.centre, target.roi.side, config.crop)
             matrices.append([turn_matrix(turn, config.crop) @ upright for turn in own])
         crops = [
-            (np.stack([warp_crop(t.view.image, A, config.crop) for A in to_crops]), t.index)
+            (np.stack([warp_crop(t.view.image, A, config.crop) for A in to_crops]), t.obj)
             for t, to_crops in zip(targets, matrices, strict=True)
         ]
         found = self._inference.encode(crops)

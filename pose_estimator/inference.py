@@ -120,14 +120,16 @@ class Inference:
             objects = [index for own, index in crops for _ in own]
             features = network.decode(pyramid, torch.tensor(objects, device=self.device))
             volume = features.volume.float()
-            votes = [as_array(part) for part in vote(features)]
+            mean, covariance, score = (as_array(part) for part in vote(features))
             mask = torch.sigmoid(features.mask_logits.float()).cpu().numpy()
             found = iter(
                 EncodedCrop(
                     volume[n],
                     features.decoder[n],
                     tuple(level[n] for level in pyramid),
-                    *(part[n] for part in votes),
+                    mean[n],
+                    covariance[n],
+                    score[n],
                     mask[n],
                 )
                 for n in range(len(objects))

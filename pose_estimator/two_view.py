@@ -118,7 +118,7 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
         together = [n for n, own in enumerate(targets) if rois is None and len(own) > 1]
         found: list[list[Roi | None]] = []
         if together:
-            found = self.frontend.regions([(requests[n][0], targets[n][0].index) for n in together])
+            found = self.frontend.regions([(requests[n][0], targets[n][0].obj) for n in together])
         for n, regions in zip(together, found, strict=True):
             targets[n] = [t._replace(roi=roi) for t, roi in zip(targets[n], regions, strict=True)]
         encoded = iter(self.frontend.encode([target for own in targets for target in own]))
