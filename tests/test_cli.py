@@ -10,13 +10,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 import tyro
 from PIL import Image
 from scipy.spatial.transform import Rotation
 from two_view_pose import pose_estimator
 from two_view_pose.__main__ import VERBS, find, main
 from two_view_pose.assets import OBJECT_NAMES, load_object
-from two_view_pose.envs import protocol
+from two_view_pose.envs import doctor, protocol
 from two_view_pose.pose_estimator.geometry import LINEMOD_K
 
 OPTIONS = {
@@ -300,6 +301,25 @@ def test_doctor_says_what_to_do(monkeypatch, capsys):
     assert main(["doctor", "--quick"]) == 1
     printed = capsys.readouterr().out
     assert "FAILS  OpenGL: MUJOCO_GL=off switches rendering off; unset it" in printed
+
+
+def test_doctor_says_what_networks_run_on(monkeypatch):
+    monkeypatch.setenv("ATEN_CPU_CAPABILITY", "avx2")
+    found = {check.name: check.text for check in doctor.check_computing()}
+    assert list(found) == ["device", "processor", "kernels", "threads"]
+    assert found["device"].startswith("auto means ")
+    assert "limited by ATEN_CPU_CAPABILITY=avx2" in found["kernels"]
+    assert f"{torch.backends.cpu.get_cpu_capability()} kernels" in found["kernels"]
+    assert found["threads"].startswith(f"{torch.get_num_threads()} by default; they ")
+
+
+def test_doctor_times_estimates():
+    check = doctor.check_estimator("single")
+    assert check.works
+    objects, milliseconds = re.fullmatch(
+        r"(\d+) objects, (\d+) ms a pair, median of 5", check.text
+    ).groups()
+    assert int(objects) == len(OBJECT_NAMES) and int(milliseconds) > 0
 
 
 def test_demo_wants_a_second_view(capsys):
