@@ -54,13 +54,15 @@ def compare_busy(weights: str, repeats: int, seed: int) -> Iterator[Record]:
     yield compare("Mid-Fusion, one pair", estimate, repeats)
     lanes = gym.make_vec("TwoViewPose-v0", num_envs=LANES, estimator=estimator)
     lanes.action_space.seed(seed)
-    lanes.reset(seed=seed)
-    yield compare(
-        f"vector env, a step of {LANES} lanes with mid",
-        lambda: lanes.step(lanes.action_space.sample()),
-        fewer,
-    )
-    lanes.close()
+    try:
+        lanes.reset(seed=seed)
+        yield compare(
+            f"vector env, a step of {LANES} lanes with mid",
+            lambda: lanes.step(lanes.action_space.sample()),
+            fewer,
+        )
+    finally:
+        lanes.close()
     yield compare(f"features network, a training step of {CROPS} crops", training_step(), fewer)
 
 

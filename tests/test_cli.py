@@ -1,4 +1,4 @@
-"""The command line: help, options, error messages, and the verbs `estimate` and `doctor`."""
+"""The command line: help, options, error messages, and the verb `estimate`."""
 
 import json
 import re
@@ -10,14 +10,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 import tyro
 from PIL import Image
 from scipy.spatial.transform import Rotation
 from two_view_pose import pose_estimator
 from two_view_pose.__main__ import VERBS, find, main
 from two_view_pose.assets import OBJECT_NAMES, load_object
-from two_view_pose.envs import doctor, protocol
+from two_view_pose.envs import protocol
 from two_view_pose.pose_estimator.geometry import LINEMOD_K
 
 OPTIONS = {
@@ -287,39 +286,6 @@ def test_estimate_from_a_photograph_with_depth(inputs, monkeypatch, suffix, kind
     (view,) = estimator.views
     assert view.depth.shape == (480, 640) and view.depth[0, 0] == 0
     np.testing.assert_allclose(view.depth[20:], 0.9, atol=1e-6)
-
-
-def test_doctor_finds_what_renders(tmp_path, capsys):
-    assert main(["doctor", "--quick", "--json", str(tmp_path / "d.json")]) == 0
-    assert "ok  OpenGL" in capsys.readouterr().out
-    (record,) = json.loads((tmp_path / "d.json").read_text())["records"]
-    assert record["check"] == "OpenGL" and record["value"] == 1
-
-
-def test_doctor_says_what_to_do(monkeypatch, capsys):
-    monkeypatch.setenv("MUJOCO_GL", "off")
-    assert main(["doctor", "--quick"]) == 1
-    printed = capsys.readouterr().out
-    assert "FAILS  OpenGL: MUJOCO_GL=off switches rendering off; unset it" in printed
-
-
-def test_doctor_says_what_networks_run_on(monkeypatch):
-    monkeypatch.setenv("ATEN_CPU_CAPABILITY", "avx2")
-    found = {check.name: check.text for check in doctor.check_computing()}
-    assert list(found) == ["device", "processor", "kernels", "threads"]
-    assert found["device"].startswith("auto means ")
-    assert "limited by ATEN_CPU_CAPABILITY=avx2" in found["kernels"]
-    assert f"{torch.backends.cpu.get_cpu_capability()} kernels" in found["kernels"]
-    assert found["threads"].startswith(f"{torch.get_num_threads()} by default; they ")
-
-
-def test_doctor_times_estimates():
-    check = doctor.check_estimator("single")
-    assert check.works
-    objects, milliseconds = re.fullmatch(
-        r"(\d+) objects, (\d+) ms a pair, median of 5", check.text
-    ).groups()
-    assert int(objects) == len(OBJECT_NAMES) and int(milliseconds) > 0
 
 
 def test_demo_wants_a_second_view(capsys):
