@@ -1,11 +1,17 @@
 """Two-View Pose: where should a robot look from for its second view?
 
-Importing this package registers the Gymnasium ids and nothing else; it stays cheap on purpose.
+Importing this package registers the Gymnasium ids and lets PyTorch's threads sleep while they wait
+(:mod:`two_view_pose.pose_estimator.waiting`, which acts only where torch is imported later). It
+stays cheap on purpose.
 """
 
 from gymnasium.envs.registration import register
 
+from .pose_estimator.waiting import let_threads_sleep
+
 __version__ = "0.1.0"
+
+let_threads_sleep()
 
 register(
     id="TwoViewPose-v0",

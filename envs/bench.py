@@ -1,18 +1,23 @@
 """The verb ``bench``: how quick things are (and how robust), as ratios to what others would use.
 
 Machines differ and drift, so both sides of a ratio take turns in one run, and medians count. Each
-group of comparisons has a process of its own, so that no library disturbs another's.
+group of comparisons has a process of its own, so that no library disturbs another's. Every line is
+told and written as soon as it is measured; a run that was interrupted goes on with the same
+command.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ..pose_estimator.stopwatch import Missing, Record
+    from .bench_kept import Measured
 
 GROUPS = {
     "rendering": "RGB, depth and masks, against mujoco.Renderer",
@@ -20,6 +25,7 @@ GROUPS = {
     "pixels": "steps and episodes of pixels, against Gymnasium's renderer and dm_control",
     "vector": "eight lanes, against as many single environments in sequence",
     "estimator": "Mid-Fusion and a step, against PVNet and ResNet-18",
+    "busy": "an estimate, lanes and training beside busy processes, against the same alone",
     "network": "the 3D network's operations, against a large matrix product",
     "solver": "Soft RANSAC, against the RANSACs of OpenCV and Open3D",
     "metrics": "ADD-S, against the BOP toolkit's way",
@@ -40,8 +46,8 @@ class BenchConfig:
     repeats: int = 15
     """Timed repeats of each side; the median counts."""
     only: tuple[str, ...] = ()
-    """Groups to run: rendering, pyrender, pixels, vector, estimator, network, solver, metrics,
-    import, generate, cost. None named: all of them."""
+    """Groups to run: rendering, pyrender, pixels, vector, estimator, busy, network, solver,
+    metrics, import, generate, cost. None named: all of them."""
     weights: str | None = "linemod"
     """Weights of the estimator; None leaves out what needs them."""
     scenes: int = 26
@@ -51,7 +57,8 @@ class BenchConfig:
     seed: int = 0
     """Of scenes, poses and actions."""
     json: Path | None = None
-    """Write the ratios as a results file."""
+    """Results file, which holds each ratio as soon as it is measured. If it is that of an
+    interrupted run with the same options, processor and code, the run goes on there."""
     markdown: Path | None = None
     """Write the table as Markdown."""
     figure: Path | None = None
@@ -75,7 +82,7 @@ class BenchConfig:
             return ()
         without = set() if self.scenes else {"generate"}
         if self.weights is None:
-            without |= {"vector", "estimator", "cost"}
+            without |= {"vector", "estimator", "busy", "cost"}
         if not (self.only or self.json or self.figure):
             without.add("cost")  # it is in no table
         return tuple(g for g in GROUPS if g in (self.only or GROUPS) and g not in without)
@@ -87,87 +94,133 @@ def bench(config: BenchConfig) -> None:
     os.environ.setdefault("MUJOCO_GL", "egl")
     from rich.console import Console
 
-    from ..pose_estimator.results import write_atomically, write_results
-    from ..pose_estimator.stopwatch import Missing, in_own_process
+    from ..pose_estimator.results import write_atomically
+    from .bench_kept import Measured, conditions
     from .bench_table import markdown, table
 
     console = Console()
     if not console.is_terminal:
         console = Console(width=_WIDTH)
-    lines: list[Record | Missing] = []
-    for group in config.groups:
-        with console.status(f"{group}: {GROUPS[group]}"):
-            lines += in_own_process(run_group, group, config)
+    measured = Measured(
+        config.json,
+        config.seed,
+        conditions(
+            repeats=config.repeats,
+            weights=config.weights,
+            scenes=config.scenes,
+            soak=config.soak,
+            groups=",".join(config.groups),
+        ),
+    )
+    _say(console, f"on {measured.conditions['processor']}")
+    _say(console, measured.resume(config.groups))
+    for number, group in enumerate(config.groups, start=1):
+        title = f"{number}/{len(config.groups)} {group}: {GROUPS[group]}"
+        if measured.finished(group):
+            _say(console, f"{title}: measured already")
+        else:
+            _say(console, title)
+            with console.status(title):
+                measure_group(group, config, measured, console)
     if config.soak:
         from .bench_memory import measure_memory
 
-        lines += measure_memory(config.soak, config.seed)
-    records = [line for line in lines if isinstance(line, dict)]
-    console.print(table(records))
-    for line in lines:
-        if isinstance(line, Missing):
-            console.print(str(line), markup=False, highlight=False)
-    if config.json is not None:
-        write_results(config.json, records, command="bench", seed=config.seed)
+        for line in measure_memory(config.soak, config.seed):
+            measured.add("memory", line)
+    console.print(table(measured.records))
+    for missing in measured.missing():
+        _say(console, str(missing))
     if config.markdown is not None:
-        write_atomically(config.markdown, markdown(records).encode())
+        write_atomically(config.markdown, markdown(measured.records).encode())
     if config.figure is not None:
         from .bench_cost import draw_costs
 
-        draw_costs(config.figure, records)
+        draw_costs(config.figure, measured.records)
 
 
-def run_group(group: str, config: BenchConfig) -> list[Record | Missing]:
+def measure_group(group: str, config: BenchConfig, measured: Measured, console: Any) -> None:
+    """Measures one group in a process of its own; tells and keeps each line as it comes."""
+    from ..pose_estimator.stopwatch import Missing, each_from_own_process
+    from .bench_table import one_line
+
+    started = perf_counter()
+    for line in each_from_own_process(run_group, group, config):
+        measured.add(group, line)
+        _say(console, f"  {line if isinstance(line, Missing) else one_line(line)}")
+    measured.finish(group, perf_counter() - started)
+
+
+def _say(console: Any, text: str) -> None:
+    if text:
+        console.print(text, markup=False, highlight=False)
+
+
+def run_group(group: str, config: BenchConfig) -> Iterator[Record | Missing]:
     """One of ``GROUPS``; imports only what it needs."""
     repeats, seed = config.repeats, config.seed
     if group == "rendering":
         from .bench_rendering import compare_renderers
 
-        return [*compare_renderers(repeats, seed, config.pictures)]
-    if group == "pyrender":
+        yield from compare_renderers(repeats, seed, config.pictures)
+    elif group == "pyrender":
         from .bench_pyrender import compare_with_pyrender
 
-        return compare_with_pyrender(repeats, seed)
-    if group == "pixels":
+        yield from compare_with_pyrender(repeats, seed)
+    elif group == "pixels":
         from .bench_pixels import compare_pixels
 
-        return compare_pixels(repeats, seed)
-    if group == "import":
+        yield from compare_pixels(repeats, seed)
+    elif group == "import":
         from .bench_import import compare_imports
 
-        return [*compare_imports(repeats)]
-    if group == "generate":
+        yield from compare_imports(repeats)
+    elif group == "generate":
         from .bench_generator import measure_generator
 
-        return [*measure_generator(config.scenes, seed)]
-    if group in ("network", "solver", "metrics"):
-        return run_estimator_group(group, repeats, seed)
-    assert config.weights is not None
+        yield from measure_generator(config.scenes, seed)
+    elif group in ("network", "solver", "metrics"):
+        yield from run_estimator_group(group, repeats, seed)
+    else:
+        assert config.weights is not None
+        yield from run_group_with_weights(group, config.weights, repeats, seed)
+
+
+def run_group_with_weights(
+    group: str, weights: str, repeats: int, seed: int
+) -> Iterator[Record | Missing]:
+    """One of the groups that ask a trained estimator."""
     if group == "vector":
         from .bench_vector import compare_vector
 
-        return [*compare_vector(config.weights, repeats, seed)]
-    if group == "estimator":
+        yield from compare_vector(weights, repeats, seed)
+    elif group == "estimator":
         from .bench_estimator import compare_estimates
 
-        return [*compare_estimates(config.weights, repeats, seed)]
-    from .bench_cost import measure_costs
+        yield from compare_estimates(weights, repeats, seed)
+    elif group == "busy":
+        from .bench_busy import compare_busy
 
-    return [*measure_costs(config.weights, repeats, seed)]
+        yield from compare_busy(weights, repeats, seed)
+    else:
+        from .bench_cost import measure_costs
+
+        yield from measure_costs(weights, repeats, seed)
 
 
-def run_estimator_group(group: str, repeats: int, seed: int) -> list[Record | Missing]:
+def run_estimator_group(group: str, repeats: int, seed: int) -> Iterator[Record | Missing]:
     """One of the groups that need nothing of the environment."""
     if group == "network":
         from ..pose_estimator.bench_network import compare_networks
 
-        return [*compare_networks(repeats)]
-    if group == "solver":
+        yield from compare_networks(repeats)
+    elif group == "solver":
         from ..pose_estimator.bench_solver import compare_robustness, compare_speed
 
-        return [*compare_speed(repeats, seed), compare_robustness(seed)]
-    from .. import assets
-    from ..pose_estimator.bench_metrics import compare_add_s
+        yield from compare_speed(repeats, seed)
+        yield compare_robustness(seed)
+    else:
+        from .. import assets
+        from ..pose_estimator.bench_metrics import compare_add_s
 
-    models = {name: model for name, model in assets.load_objects(None).items() if model.symmetric}
-    return [compare_add_s(models, repeats, seed)]
+        models = assets.load_objects(None).items()
+        yield compare_add_s({name: m for name, m in models if m.symmetric}, repeats, seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -25,7 +26,7 @@ _SPACING = 0.13
 """Between neighbouring bodies on the table, metres."""
 
 
-def measure_costs(weights: str, repeats: int, seed: int) -> list[Record]:
+def measure_costs(weights: str, repeats: int, seed: int) -> Iterator[Record]:
     """Records ``seconds`` of everything, with ``work`` and one of ``bodies``, ``batch``, ``cells``.
 
     Args:
@@ -33,12 +34,10 @@ def measure_costs(weights: str, repeats: int, seed: int) -> list[Record]:
         repeats: timed repeats; the median counts.
         seed: of the crops and the keypoints.
     """
-    return [
-        *render_costs(BODIES, repeats),
-        *crop_costs(weights, BATCHES, repeats, seed),
-        *solver_costs(BATCHES, repeats, seed),
-        *volume_costs(CELLS, max(3, repeats // 3)),
-    ]
+    yield from render_costs(BODIES, repeats)
+    yield from crop_costs(weights, BATCHES, repeats, seed)
+    yield from solver_costs(BATCHES, repeats, seed)
+    yield from volume_costs(CELLS, max(3, repeats // 3))
 
 
 def render_costs(bodies: tuple[int, ...], repeats: int) -> list[Record]:

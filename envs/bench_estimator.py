@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -19,9 +19,10 @@ PAIRS = 8
 """Pairs of views that take turns."""
 
 
-def compare_estimates(weights: str, repeats: int, seed: int) -> list[Record]:
+def compare_estimates(weights: str, repeats: int, seed: int) -> Iterator[Record]:
     """Mid-Fusion and a whole step; see the two functions below."""
-    return [compare_pair(weights, repeats, seed), compare_step(weights, repeats, seed)]
+    yield compare_pair(weights, repeats, seed)
+    yield compare_step(weights, repeats, seed)
 
 
 def compare_pair(weights: str, repeats: int, seed: int) -> Record:
@@ -36,7 +37,7 @@ def compare_pair(weights: str, repeats: int, seed: int) -> Record:
         theirs.append(seconds(forward))
     return make_record(
         "Mid-Fusion, one pair, pictures to pose",
-        "PVNet forward (ResNet-18 at stride 8, decoder), one picture, 640x480",
+        "PVNet forward (ResNet-18 at stride 8, decoder), one picture, 640x480, float32",
         ours[WARM_UP:],
         theirs[WARM_UP:],
         goal=2.0,
@@ -57,7 +58,7 @@ def compare_step(weights: str, repeats: int, seed: int) -> Record:
     env.close()
     return make_record(
         "env.step: render, detect, estimate, reward",
-        "ResNet-18 forward, 640x480",
+        "ResNet-18 forward, 640x480, float32",
         ours[WARM_UP:],
         theirs[WARM_UP:],
         goal=1.0,

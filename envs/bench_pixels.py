@@ -11,7 +11,7 @@ that nobody else draws, and in one process would draw into our OpenGL context.
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -42,15 +42,14 @@ class Side(NamedTuple):
     close: Callable[[], Any]
 
 
-def compare_pixels(repeats: int, seed: int) -> list[Record | Missing]:
+def compare_pixels(repeats: int, seed: int) -> Iterator[Record | Missing]:
     """A step and a whole episode of ``TwoViewPose-v0`` against both others."""
-    lines: list[Record | Missing] = []
     for name, (_, install) in PEERS.items():
         spawn = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(1, spawn) as ours, ProcessPoolExecutor(1, spawn) as theirs:
             failure = theirs.submit(begin, name, seed).result()
             if failure is not None:
-                lines.append(Missing(name, failure, install))
+                yield Missing(name, failure, install)
                 continue
             ours.submit(begin, OURS, seed).result()
             rounds = [
@@ -59,8 +58,7 @@ def compare_pixels(repeats: int, seed: int) -> list[Record | Missing]:
             ]
             for side in (ours, theirs):
                 side.submit(end).result()
-        lines += records(name, np.array(rounds[WARM_UP:]))
-    return lines
+        yield from records(name, np.array(rounds[WARM_UP:]))
 
 
 def records(name: str, times: np.ndarray) -> list[Record]:

@@ -13,7 +13,8 @@ def table(records: list[Record]) -> Any:
     """The records that have a goal, for a terminal; costs against size are left to the figure."""
     from rich.table import Table
 
-    shown = Table(title="side by side in one run, medians")
+    title = " ".join(["side by side in one run, medians.", *measured_on(records)])
+    shown = Table(title=title)
     for column in _COLUMNS:
         shown.add_column(column)
     for row in rows(records):
@@ -22,9 +23,30 @@ def table(records: list[Record]) -> Any:
 
 
 def markdown(records: list[Record]) -> str:
-    """The same in Markdown, a line each."""
+    """The same in Markdown, a line each, after what it was measured on."""
     lines = [_COLUMNS, ("---",) * len(_COLUMNS), *rows(records)]
-    return "".join(f"| {' | '.join(line)} |\n".replace("|  |", "| |") for line in lines)
+    text = "".join(f"| {' | '.join(line)} |\n".replace("|  |", "| |") for line in lines)
+    return "".join(f"{line}\n\n" for line in measured_on(records)) + text
+
+
+def measured_on(records: list[Record]) -> list[str]:
+    """On what processor the records were measured, and for which others they do not hold."""
+    text = "; ".join(dict.fromkeys(r["processor"] for r in records if "processor" in r))
+    if not text:
+        return []
+    half = any(r.get("number_format") == "bfloat16" for r in records)
+    only = " Lines marked bfloat16 hold only where the processor multiplies it." if half else ""
+    return [f"Measured on {text}.{only}"]
+
+
+def one_line(record: Record) -> str:
+    """A record as it is told when it was measured."""
+    if "goal" not in record:
+        return f"{record['value']:.3g} {record['unit']}  {record.get('work', record['metric'])}"
+    work, against, *_, ratio, goal = cells(record)
+    found = ratio or cells(record)[2]
+    beside = f" | {against}" if against else ""
+    return f"{found:>8}  {work}{beside} (goal {goal}: {'met' if met(record) else 'missed'})"
 
 
 def rows(records: list[Record]) -> list[tuple[str, ...]]:
@@ -40,6 +62,8 @@ def met(record: Record) -> bool:
 
 def cells(record: Record) -> tuple[str, ...]:
     """A record as a row of the table."""
+    if record.get("number_format") == "bfloat16" and "bfloat16" not in record.get("against", ""):
+        record = {**record, "work": f"{record['work']} (bfloat16)"}
     if record["metric"] == "memory_growth":
         value, goal = f"{record['value']:.1f} MB", f"<= {record['goal']:g} MB"
         return record["work"], "", value, "", "", goal

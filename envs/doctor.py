@@ -13,7 +13,13 @@ from time import perf_counter
 import numpy as np
 
 from ..pose_estimator.cores import available_cores
+from ..pose_estimator.processor import instructions, limits, number_format, processor_name
 from ..pose_estimator.results import versions, write_results
+from ..pose_estimator.stopwatch import WARM_UP
+from ..pose_estimator.waiting import how_threads_wait
+
+_ESTIMATES = 5
+"""Timed estimates of each method; the median counts."""
 
 _RENDER_ONE_FRAME = """
 import numpy
@@ -85,13 +91,31 @@ def check_opengl() -> Check:
 
 
 def check_machine() -> Iterator[Check]:
-    """Python, processor and versions."""
-    cores = available_cores()
+    """System, Python and versions."""
     found = versions()
-    yield Check("machine", None, f"{platform.system()} {platform.machine()}, {cores} cores")
+    yield Check("machine", None, f"{platform.system()} {platform.machine()}")
     yield Check("Python", sys.version_info >= (3, 11), found["python"])
     packages = [f"{name} {version}" for name, version in found.items() if name != "python"]
     yield Check("packages", None, ", ".join(packages))
+
+
+def check_computing() -> Iterator[Check]:
+    """What networks run on: device, kernels, number format, threads and how these wait."""
+    import torch
+
+    from ..pose_estimator.device import describe, resolve_device
+    from ..pose_estimator.fused import can_fuse_in
+
+    yield Check("device", None, f"auto means {describe(resolve_device('auto'))}")
+    has = f"{processor_name()}, {available_cores()} cores, {instructions()}"
+    yield Check("processor", None, has)
+    limited = f", limited by {limits()}" if limits() else ""
+    numbers = number_format()
+    fused = "in one step with" if can_fuse_in(getattr(torch, numbers)) else "apart from"
+    text = f"on the processor PyTorch uses its {torch.backends.cpu.get_cpu_capability()} kernels"
+    text += f"{limited}; networks compute in {numbers}, convolutions {fused} what follows them"
+    yield Check("kernels", None, text)
+    yield Check("threads", None, f"{torch.get_num_threads()} by default; they {how_threads_wait()}")
 
 
 def check_objects() -> Check:
@@ -106,7 +130,10 @@ def check_objects() -> Check:
 
 
 def check_estimator(method: str) -> Check:
-    """Whether the shipped weights load and give a finite pose, and how long one takes."""
+    """Whether the shipped weights load and give a finite pose, and how long one takes.
+
+    On the device that ``auto`` means. Each estimate is of views that were never seen before.
+    """
     from ..pose_estimator import load
     from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K, View
 
@@ -114,19 +141,22 @@ def check_estimator(method: str) -> Check:
     image = rng.integers(0, 255, (*LINEMOD_IMAGE_SIZE, 3), dtype=np.uint8)
     aside = np.eye(4)
     aside[0, 3] = -0.1
-    views = [View(image, LINEMOD_K, pose) for pose in (np.eye(4), aside)]
+    took = []
     try:
         estimator = load(method)
         name = estimator.object_names[0]
-        estimator.estimate(views, name)
-        started = perf_counter()
-        answer = estimator.estimate(views, name)
-        milliseconds = 1e3 * (perf_counter() - started)
+        for _ in range(WARM_UP + _ESTIMATES):
+            views = [View(image, LINEMOD_K, pose) for pose in (np.eye(4), aside)]
+            started = perf_counter()
+            answer = estimator.estimate(views, name)
+            took.append(perf_counter() - started)
     except (ValueError, OSError) as error:
         return Check(f"estimator {method}", False, str(error))
-    works = bool(np.isfinite(answer.T_cam_obj).all())
+    if not np.isfinite(answer.T_cam_obj).all():
+        return Check(f"estimator {method}", False, "the pose is not finite")
+    milliseconds = 1e3 * np.median(took[WARM_UP:])
     text = f"{len(estimator.object_names)} objects, {milliseconds:.0f} ms a pair"
-    return Check(f"estimator {method}", works, text if works else "the pose is not finite")
+    return Check(f"estimator {method}", True, f"{text}, median of {_ESTIMATES}")
 
 
 def checks(quick: bool) -> Iterator[Check]:
@@ -135,6 +165,7 @@ def checks(quick: bool) -> Iterator[Check]:
         yield from check_machine()
     yield check_opengl()
     if not quick:
+        yield from check_computing()
         yield check_objects()
         yield check_estimator("single")
         yield check_estimator("mid")

@@ -6,7 +6,7 @@ where the CPU multiplies it in hardware, else float32, as the estimator chooses 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from .device import has_fast_bfloat16
 from .features import FeatureConfig
 from .fused import fused
+from .processor import number_format
 from .stopwatch import WARM_UP, Record, seconds
 from .volume import PRESETS, Volume, VolumeNet, as_convolved
 
@@ -32,7 +33,7 @@ PAPER_CELLS = 60
 """Voxels along a side of the paper's coarse volume."""
 
 
-def compare_networks(repeats: int) -> list[Record]:
+def compare_networks(repeats: int) -> Iterator[Record]:
     """The 3D network of both presets against a matrix product.
 
     ``fast`` runs both of its volumes, with one pair of views and with eight; ``paper`` its coarse
@@ -41,17 +42,15 @@ def compare_networks(repeats: int) -> list[Record]:
     fast = PRESETS["fast"]
     sides = [level.cells for level in (fast.coarse, fast.fine) if level.cells is not None]
     cells = " and ".join(f"{side}^3" for side in sides)
-    return [
-        compare_with_product(f"3D network, fast ({cells}), 1 pair", "fast", sides, 1, repeats),
-        compare_with_product(f"3D network, fast ({cells}), 8 pairs", "fast", sides, 8, repeats),
-        compare_with_product(
-            f"3D network, paper ({PAPER_CELLS}^3), 1 pair",
-            "paper",
-            [PAPER_CELLS],
-            1,
-            max(3, repeats // 3),
-        ),
-    ]
+    yield compare_with_product(f"3D network, fast ({cells}), 1 pair", "fast", sides, 1, repeats)
+    yield compare_with_product(f"3D network, fast ({cells}), 8 pairs", "fast", sides, 8, repeats)
+    yield compare_with_product(
+        f"3D network, paper ({PAPER_CELLS}^3), 1 pair",
+        "paper",
+        [PAPER_CELLS],
+        1,
+        max(3, repeats // 3),
+    )
 
 
 def compare_with_product(
@@ -94,7 +93,7 @@ def compare_with_product(
         "value": ours / peaks[best],
         "unit": "",
         "work": work,
-        "against": f"{_precision()} matrix product of {sizes[best]}",
+        "against": f"{number_format()} matrix product of {sizes[best]}",
         "goal": GOAL,
         "value_after_other_work": float(flops / first / peaks[best]),
         "flops": float(flops),
@@ -163,7 +162,3 @@ def matrix_product(size: int) -> Callable[[], Tensor]:
             return a @ b
 
     return run
-
-
-def _precision() -> str:
-    return "bfloat16" if has_fast_bfloat16() else "float32"

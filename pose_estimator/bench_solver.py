@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -104,14 +104,13 @@ def affine_poses(problems: KeypointProblems) -> np.ndarray:
     return poses
 
 
-def compare_speed(repeats: int, seed: int) -> list[Record | Missing]:
+def compare_speed(repeats: int, seed: int) -> Iterator[Record | Missing]:
     """Soft RANSAC of 32 poses against as many calls of others' RANSACs, for each pose.
 
     All get the same nine keypoints, once all good and once with three of them wrong: a RANSAC stops
     early where all agree, and Soft RANSAC always does the same work. The others stop when they
     would of themselves; those that must be told what an inlier is are told Soft RANSAC's.
     """
-    records: list[Record | Missing] = []
     for outliers in (0, _OUTLIERS):
         problems = draw_problems(np.random.default_rng(seed), _BATCH, outliers=outliers)
         cv2.setRNGSeed(seed)
@@ -120,10 +119,10 @@ def compare_speed(repeats: int, seed: int) -> list[Record | Missing]:
             ("cv2.estimateAffine3D", partial(_call_affine, problems)),
             ("cv2.estimateAffine3D, made a pose", partial(affine_poses, problems)),
         ):
-            records.append(_compare(against, problems, theirs, repeats, outliers))
+            yield _compare(against, problems, theirs, repeats, outliers)
     # Open3D brings an OpenMP of its own.
     found = in_own_process(compare_with_open3d, max(3, repeats // 3), seed)
-    return [*records, *(found if isinstance(found, list) else [found])]
+    yield from found if isinstance(found, list) else [found]
 
 
 def compare_with_open3d(repeats: int, seed: int) -> list[Record] | Missing:

@@ -9,6 +9,7 @@ rounded to bfloat16 once, where the CPU has it, and laid out once as oneDNN want
 from __future__ import annotations
 
 from copy import copy
+from functools import cache
 from typing import TypeVar
 
 import torch
@@ -33,6 +34,25 @@ def can_fuse() -> bool:
     )
 
 
+@cache
+def can_fuse_in(dtype: torch.dtype) -> bool:
+    """Whether such convolutions run here in a number format: oneDNN refuses some processors'.
+
+    That of bfloat16 depends on more than the processor (``ONEDNN_MAX_CPU_ISA``, the versions of
+    torch and oneDNN), so one is tried.
+    """
+    if not can_fuse():
+        return False
+    try:
+        # Its numbers do not matter, and drawing some would change what others draw.
+        conv = nn.utils.skip_init(nn.Conv2d, 8, 8, 3)
+        with torch.inference_mode():
+            FusedConv(conv, dtype)(torch.zeros(1, 8, 8, 8))
+    except RuntimeError:
+        return False
+    return True
+
+
 def fused(module: M, dtype: torch.dtype) -> M:
     """A copy of a network in evaluation mode that answers the same with fewer, larger operations.
 
@@ -41,7 +61,7 @@ def fused(module: M, dtype: torch.dtype) -> M:
 
     Args:
         module: the network.
-        dtype: of the convolutions, bfloat16 or float32.
+        dtype: of the convolutions, bfloat16 or float32; one for which :func:`can_fuse_in` holds.
     """
     if not can_fuse():
         return module

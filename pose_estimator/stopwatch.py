@@ -7,10 +7,14 @@ count.
 from __future__ import annotations
 
 import multiprocessing
+import os
+import signal
 import time
-from collections.abc import Callable, Sequence
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 import numpy as np
@@ -20,6 +24,9 @@ Record = dict[str, Any]
 
 WARM_UP = 2
 """Calls of each side that do not count."""
+
+_GRACE = 1.0
+"""Seconds in which a process may end of itself: an interrupt from a terminal reaches it as well."""
 
 T = TypeVar("T")
 
@@ -115,3 +122,51 @@ def in_own_process(function: Callable[..., T], *arguments: Any) -> T:
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, spawn) as process:
         return process.submit(function, *arguments).result()
+
+
+def each_from_own_process(function: Callable[..., Iterable[T]], *arguments: Any) -> Iterator[T]:
+    """Calls a function in a fresh process and yields each thing that it yields, as it comes.
+
+    Args:
+        function: as for :func:`in_own_process`.
+        *arguments: likewise.
+
+    Raises:
+        ChildProcessError: if the process dies. What the function raises is raised here, too.
+    """
+    spawn = multiprocessing.get_context("spawn")
+    ours, theirs = spawn.Pipe(duplex=False)
+    process = spawn.Process(target=_send_each, args=(theirs, function, arguments))
+    process.start()
+    theirs.close()
+    try:
+        while True:
+            try:
+                thing, error = ours.recv()
+            except EOFError:
+                break
+            if error is not None:
+                raise error
+            yield thing
+        process.join()
+        if process.exitcode:
+            raise ChildProcessError(f"{function.__name__} ended with code {process.exitcode}")
+    finally:
+        ours.close()
+        process.join(_GRACE if process.exitcode is None else 0)
+        if process.is_alive() and process.pid is not None:
+            os.kill(process.pid, signal.SIGINT)  # so that it ends the processes of its own
+        process.join()
+
+
+def _send_each(pipe: Connection, function: Callable[..., Iterable[Any]], arguments: Any) -> None:
+    try:
+        for thing in function(*arguments):
+            pipe.send((thing, None))
+    except BrokenPipeError:
+        return  # nobody listens any more
+    except KeyboardInterrupt:
+        return  # as its parent is, or by it
+    except Exception as error:
+        error.add_note(traceback.format_exc())
+        pipe.send((None, error))

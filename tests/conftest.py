@@ -40,9 +40,35 @@ def tiny_training() -> Iterator[None]:
         yield
 
 
-def pytest_report_header() -> str:
-    """Which copy of the package is under test: a checkout's or an installed wheel's."""
-    return f"two_view_pose: {two_view_pose.__file__}"
+ASK_AN_ESTIMATOR = {
+    "test_frontend",
+    "test_lmo_weights",
+    "test_load",
+    "test_own_object",
+    "test_real_environment",
+    "test_record_bank",
+    "test_shipped",
+    "test_shipped_estimator",
+    "test_two_view_pose_api",
+    "test_vector",
+}
+"""Files whose tests run networks though they do not import torch."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks ``networks`` whatever computes with torch: its kernels are the processor's."""
+    for item in items:
+        assert isinstance(item, pytest.Function)
+        imports_torch = hasattr(item.module, "torch")
+        if imports_torch or item.path.stem in ASK_AN_ESTIMATOR or "networks" in item.fixturenames:
+            item.add_marker("networks")
+
+
+def pytest_report_header() -> list[str]:
+    """Which copy of the package is under test, a checkout's or an installed wheel's, on what."""
+    from two_view_pose.pose_estimator.processor import describe_processor
+
+    return [f"two_view_pose: {two_view_pose.__file__}", f"processor: {describe_processor()}"]
 
 
 @pytest.fixture

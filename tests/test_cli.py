@@ -1,4 +1,4 @@
-"""The command line: help, options, error messages, and the verbs `estimate` and `doctor`."""
+"""The command line: help, options, error messages, and the verb `estimate`."""
 
 import json
 import re
@@ -286,20 +286,6 @@ def test_estimate_from_a_photograph_with_depth(inputs, monkeypatch, suffix, kind
     (view,) = estimator.views
     assert view.depth.shape == (480, 640) and view.depth[0, 0] == 0
     np.testing.assert_allclose(view.depth[20:], 0.9, atol=1e-6)
-
-
-def test_doctor_finds_what_renders(tmp_path, capsys):
-    assert main(["doctor", "--quick", "--json", str(tmp_path / "d.json")]) == 0
-    assert "ok  OpenGL" in capsys.readouterr().out
-    (record,) = json.loads((tmp_path / "d.json").read_text())["records"]
-    assert record["check"] == "OpenGL" and record["value"] == 1
-
-
-def test_doctor_says_what_to_do(monkeypatch, capsys):
-    monkeypatch.setenv("MUJOCO_GL", "off")
-    assert main(["doctor", "--quick"]) == 1
-    printed = capsys.readouterr().out
-    assert "FAILS  OpenGL: MUJOCO_GL=off switches rendering off; unset it" in printed
 
 
 def test_demo_wants_a_second_view(capsys):

@@ -69,7 +69,7 @@ def test_groups():
     assert bench.BenchConfig(only=("solver", "pixels")).groups == ("pixels", "solver")
     assert bench.BenchConfig(soak=1000).groups == ()
     without = bench.BenchConfig(scenes=0, weights=None, json="f.json").groups
-    assert set(bench.GROUPS) - set(without) == {"generate", "vector", "estimator", "cost"}
+    assert set(bench.GROUPS) - set(without) == {"generate", "vector", "estimator", "busy", "cost"}
     with pytest.raises(ValueError, match="'speed'"):
         bench.BenchConfig(only=("speed",))
     with pytest.raises(ValueError, match="group cost"):
@@ -78,12 +78,13 @@ def test_groups():
 
 def test_what_is_missing_is_told_and_the_rest_is_written(tmp_path, monkeypatch, capsys):
     found = [ratio_record(), stopwatch.Missing("a peer", "it is not there", "pip install peer")]
-    monkeypatch.setattr(stopwatch, "in_own_process", lambda *_: found)
+    monkeypatch.setattr(stopwatch, "each_from_own_process", lambda *_: iter(found))
     bench.bench(bench.BenchConfig(only=("solver",), json=tmp_path / "f.json"))
     printed = " ".join(capsys.readouterr().out.split())
     assert "not compared with a peer (it is not there). To install it: pip install peer" in printed
-    (record,) = results.read_results(tmp_path / "f.json")["records"]
+    record, missing, _ = results.read_results(tmp_path / "f.json")["records"]
     assert (record["metric"], record["goal"], record["n"]) == ("ratio", 3.0, 3)
+    assert (missing["metric"], missing["against"]) == ("missing", "a peer")
 
 
 def test_the_table_leaves_out_what_has_no_goal():
@@ -198,3 +199,12 @@ def test_a_line_in_markdown():
     text = bench_table.markdown([ratio_record(goal=2.0), {"metric": "seconds", "value": 1.0}])
     assert text.splitlines()[0] == "| work | against | ours | theirs | ratio | goal | |"
     assert len(text.splitlines()) == 3 and text.endswith("| >= 2x | met |\n")
+
+
+def test_the_page_says_on_what_it_was_measured_and_what_holds_only_there():
+    half = {"processor": "Model 7, 2 cores, AVX-512", "number_format": "bfloat16"}
+    text = bench_table.markdown([ratio_record(**half)])
+    assert text.startswith("Measured on Model 7, 2 cores, AVX-512. Lines marked bfloat16 hold only")
+    assert "| ours (bfloat16) | theirs |" in text
+    single = bench_table.markdown([ratio_record(processor="Model 3", number_format="float32")])
+    assert single.startswith("Measured on Model 3.\n\n|") and "bfloat16" not in single

@@ -3,12 +3,17 @@ import torch
 from torch import nn
 from two_view_pose.pose_estimator.decoder import ConvBlock
 from two_view_pose.pose_estimator.detector import Detector
+from two_view_pose.pose_estimator.device import has_fast_bfloat16
 from two_view_pose.pose_estimator.encoder import Encoder, SameConv
 from two_view_pose.pose_estimator.features import FeatureConfig, KeypointNet
-from two_view_pose.pose_estimator.fused import FusedConv, can_fuse, fused
+from two_view_pose.pose_estimator.fused import FusedConv, can_fuse, can_fuse_in, fused
 from two_view_pose.pose_estimator.volume import PRESETS, Volume
 
 pytestmark = pytest.mark.skipif(not can_fuse(), reason="this torch has no oneDNN")
+needs_bfloat16 = pytest.mark.skipif(
+    not can_fuse_in(torch.bfloat16),
+    reason="oneDNN refuses bfloat16 here: the processor has no AVX-512, or is told to use none",
+)
 
 
 def shaken(module: nn.Module, seed: int = 0) -> nn.Module:
@@ -64,6 +69,7 @@ def test_a_fused_network_answers_the_same(network, inputs):
         assert torch.allclose(ours, theirs, atol=1e-3 * float(theirs.abs().max()) + 1e-6)
 
 
+@needs_bfloat16
 @torch.no_grad()
 def test_half_as_exact_in_half_the_bits():
     network = shaken(ConvBlock(8, 16))
@@ -75,7 +81,9 @@ def test_half_as_exact_in_half_the_bits():
     )
 
 
-@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float32])
+@pytest.mark.parametrize(
+    "dtype", [pytest.param(torch.bfloat16, marks=needs_bfloat16), torch.float32]
+)
 @torch.inference_mode()
 def test_what_was_seen_before_changes_no_answer(dtype):
     """The first call decides how weights are laid out; batches and sizes may change after it."""
@@ -93,3 +101,16 @@ def test_the_network_itself_is_left_alone():
     fused(network, torch.bfloat16)
     assert [type(layer) for layer in network.modules()] == before
     assert all(p.dtype == torch.float32 for p in network.parameters())
+
+
+def test_float32_can_always_be_fused_and_asking_draws_no_random_number():
+    torch.manual_seed(0)
+    expected = torch.rand(1)
+    torch.manual_seed(0)
+    can_fuse_in.cache_clear()
+    assert can_fuse_in(torch.float32)
+    assert torch.equal(torch.rand(1), expected)
+
+
+def test_networks_compute_in_a_format_that_can_be_fused():
+    assert not has_fast_bfloat16() or can_fuse_in(torch.bfloat16)
