@@ -34,7 +34,7 @@ def oracles(tests, boxes, networks, monkeypatch) -> dict[str, Oracle]:
         made[method] = Oracle(tests["linemod"].dataset, boxes, T, strict=False)
         made[method].networks = networks  # type: ignore[attr-defined]
 
-    def load(method: str, weights: str) -> Oracle:
+    def load(method: str, weights: str, **options: object) -> Oracle:
         if method not in made:
             raise ValueError(f"the weights lack what {method!r} needs")
         return made[method]
