@@ -100,15 +100,20 @@ def solve_pose(
 ) -> np.ndarray:
     """T_cam_obj (4, 4) of one object: :func:`solve` for arrays (9, 3) and (9, 3, 3)."""
     motion = solve(
-        torch.from_numpy(model_points).float(),
-        torch.from_numpy(predicted).float()[None],
-        torch.tensor([diameter], dtype=torch.float32, device="cpu"),
+        _on_cpu(model_points),
+        _on_cpu(predicted)[None],
+        _on_cpu(np.array([diameter])),
         solver,
-        None if covariance is None else torch.from_numpy(covariance).float()[None],
+        None if covariance is None else _on_cpu(covariance)[None],
     )
     # Single precision's rounding is removed from the rotation.
-    u, _, vt = np.linalg.svd(motion.rotation[0].double().numpy())
-    return make_transform(u @ vt, motion.translation[0].double().numpy())
+    u, _, vt = np.linalg.svd(motion.rotation[0].double().cpu().numpy())
+    return make_transform(u @ vt, motion.translation[0].double().cpu().numpy())
+
+
+def _on_cpu(array: np.ndarray) -> Tensor:
+    """One pose is too small to be worth a way to a GPU."""
+    return torch.from_numpy(array).to("cpu", torch.float32)
 
 
 def _weights(predicted: Tensor, covariance: Tensor, diameter: float | Tensor) -> Tensor:
