@@ -20,7 +20,7 @@ from .features import Features2D
 from .fused import fused
 from .networks import PoseNetworks
 from .volume import LevelOutput, ViewMaps
-from .voting import vote_keypoints
+from .voting import vote
 
 _CROPS_AT_ONCE = 12
 """Crops from which on a batch gets no quicker for each."""
@@ -188,24 +188,6 @@ class Inference:
         diameters = torch.tensor([q.diameter for q in questions], dtype=torch.float32)
         fine = self._network("volume")(views, guesses, diameters)[-1]
         return [LevelOutput(*(part[n : n + 1] for part in fine)) for n in range(len(questions))]
-
-
-def vote(features: Features2D) -> tuple[Tensor, Tensor, Tensor]:
-    """Votes for the keypoints of B crops.
-
-    A pixel's say is its probability to be on the object times how sure its vector is: vectors are
-    trained to unit length, and shrink where the network hesitates between directions.
-
-    Returns:
-        mean (B, 9, 2), covariance (B, 9, 2, 2) in pixels of the feature grid, and score (B, 9).
-    """
-    directions = features.directions.detach().float()
-    x, y = directions.unbind(2)
-    sure = (x * x + y * y).clamp(max=1.0)
-    inside = torch.sigmoid(features.mask_logits.detach().float())
-    inside = torch.where(inside > 0.3, inside, torch.zeros_like(inside))
-    votes = vote_keypoints(directions, inside[:, None] * sure)
-    return votes.mean, votes.covariance, votes.score
 
 
 def _portions(questions: Sequence[Encode]) -> Iterator[list[Encode]]:

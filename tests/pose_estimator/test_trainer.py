@@ -10,8 +10,9 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 from two_view_pose.pose_estimator import trainer
+from two_view_pose.pose_estimator.checkpoints import read_numbers
 from two_view_pose.pose_estimator.optimizer import HybridOptimizer
-from two_view_pose.pose_estimator.trainer import LoopConfig, learning_rate, read_step, run_stage
+from two_view_pose.pose_estimator.trainer import LoopConfig, learning_rate, run_stage
 
 
 class LineStage:
@@ -61,7 +62,7 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path: Path):
     out = tmp_path / "killed"
     with pytest.raises(KeyboardInterrupt):
         run_stage(LineStage(20, fail_at=6), LoopConfig(out, checkpoint_every=-1.0), silent)
-    assert read_step(out / "line.safetensors") == 6
+    assert read_numbers(out / "line.safetensors")["step"] == 6
     resumed = LineStage(20)
     run_stage(resumed, LoopConfig(out), silent)
     assert resumed.drawn[0] == 6
@@ -108,7 +109,7 @@ def test_nonsense_stops_the_run_before_it_is_saved(tmp_path: Path):
     stage.loss = bad  # type: ignore[method-assign]
     with pytest.raises(FloatingPointError, match="line: the loss is nan at step 3"):
         run_stage(stage, config, silent)
-    assert read_step(tmp_path / "line.safetensors") == 3
+    assert read_numbers(tmp_path / "line.safetensors")["step"] == 3
     tensors = load_file(tmp_path / "line.safetensors")
     assert all(torch.isfinite(t).all() for t in tensors.values())
 

@@ -54,7 +54,8 @@ def test_a_paper_volume_is_trained_on_finished_features(
     path = train_estimator(
         TrainEstimatorConfig(
             data=dataset, out=tmp_path / "out", stages=("volume",), preset="paper", volume_steps=1,
-            init=str(finished), validation=0.3, threads=1, pose_noise=(1.0, 5.0), pose_loss=0.5,
+            init=str(finished), validation=0.3, threads=1, workers=0,
+            pose_noise=(1.0, 5.0), pose_loss=0.5,
         )
     )  # fmt: skip
     ((_, parts),) = heard
@@ -88,7 +89,8 @@ def test_options_reach_the_stage_in_metres_and_the_sets(
     monkeypatch.setattr("two_view_pose.pose_estimator.trainer.run_stage", listen)
     config = TrainEstimatorConfig(
         data=dataset, out=tmp_path / "out", stages=("volume",), init=str(finished),
-        validation=0.3, threads=1, pose_noise=(2.0, 10.0), pose_loss=0.0, cut_and_paste=0.5,
+        validation=0.3, threads=1, workers=0,
+        pose_noise=(2.0, 10.0), pose_loss=0.0, cut_and_paste=0.5,
     )  # fmt: skip
     with pytest.raises(Heard):
         train_estimator(config)
@@ -107,7 +109,7 @@ def test_a_new_volume_leaves_the_parts_that_do_not_read_it(
     save_weights(networks, tmp_path / "first.safetensors", {})
     config = TrainEstimatorConfig(
         data=dataset, out=tmp_path / "out", stages=("volume",), volume_steps=1, validation=0.3,
-        init=str(tmp_path / "first.safetensors"), threads=1,
+        init=str(tmp_path / "first.safetensors"), threads=1, workers=0,
     )  # fmt: skip
     path = train_estimator(config)
     assert read_header(path)["trained"] == ["detector", "features", "volume", "cascade", "points"]
