@@ -53,6 +53,7 @@ class CascadeStage(StageBase):
     """
 
     name = "cascade"
+    validation = (16, 8)
 
     def __init__(self, *args: Any, **kwargs: Any):
         super().__init__(*args, **kwargs)
@@ -137,10 +138,9 @@ class CascadeStage(StageBase):
     def validate(self) -> dict[str, float]:
         """Absolute error of the depth on the object in millimetres: median and 80th percentile."""
         self.networks.cascade.eval()
-        rng = np.random.default_rng(1)
         errors = []
-        for _ in range(16):
-            outputs, truths = self.forward(self.held_out_batch(rng, 8))
+        for batch in self.held_out_batches():
+            outputs, truths = self.forward(batch)
             on_object = (truths[-1].depth > 0) & (truths[-1].mask > 0.5)
             errors.append((outputs[-1].depth - truths[-1].depth)[on_object].abs())
         error = 1000 * torch.cat(errors).cpu().numpy()

@@ -22,9 +22,6 @@ from .stages import StageBase, correct_poses, table
 from .target_sample import arrays_of, as_input
 from .voting import vote
 
-_HELD_OUT_BATCHES = 10
-"""Batches of 32 crops that a validation takes."""
-
 
 class PointStage(StageBase):
     """Points that vote for keypoints; the 2D network stays as it is.
@@ -138,11 +135,10 @@ class PointStage(StageBase):
     def validate(self) -> dict[str, float]:
         """3D keypoint distance over the diameter, and ADD(-S) recall, on noisy depth."""
         self.networks.points.eval()
-        rng = np.random.default_rng(1)
         errors: list[np.ndarray] = []
         hits: list[bool] = []
-        for _ in range(_HELD_OUT_BATCHES):
-            out = self.forward(self.held_out_batch(rng, 32))
+        for batch in self.held_out_batches():
+            out = self.forward(batch)
             distance = (out["votes"].keypoints - out["truth"]).norm(dim=-1).mean(1)
             errors.append((distance / out["diameter"])[out["enough"]].cpu().numpy())
             keep = out["enough"]

@@ -36,7 +36,12 @@ class StageBase:
         learning_rate: its maximum.
         seed: of the batches.
         workers: processes that draw them, see :func:`load`.
+
+    Attributes:
+        validation: how many held-out batches are measured, and the samples in each.
     """
+
+    validation = (10, 32)
 
     def __init__(
         self, networks: PoseNetworks, train: TrainingSet, held_out: TrainingSet, *,
@@ -76,10 +81,12 @@ class StageBase:
         drawn = NumberedBatches(self.drawing(), self.batch, self.seed, self.choosing())
         return load(drawn, range(start, self.steps), self.workers, self.device)
 
-    def held_out_batch(self, rng: np.random.Generator, size: int) -> Batch:
-        """A batch of held-out samples, on the device."""
-        draw = self.drawing(held_out=True)
-        return to_device(collate([draw(rng) for _ in range(size)]), self.device)
+    def held_out_batches(self) -> Iterator[Batch]:
+        """The same batches of held-out samples each time, on the device."""
+        draw, rng = self.drawing(held_out=True), np.random.default_rng(1)
+        count, size = self.validation
+        for _ in range(count):
+            yield to_device(collate([draw(rng) for _ in range(size)]), self.device)
 
     def autocast(self) -> torch.autocast:
         """bfloat16 where the device is fast at it."""
@@ -124,6 +131,7 @@ class DetectorStage(StageBase):
     """Centre heat maps on whole frames."""
 
     name = "detector"
+    validation = (40, 1)
 
     @property
     def module(self) -> torch.nn.Module:
@@ -149,10 +157,8 @@ class DetectorStage(StageBase):
         """How far detections are from the truth, in sides of the region of interest."""
         self.module.eval()
         config = self.networks.detector.config
-        rng = np.random.default_rng(1)
         errors, sizes = [], []
-        for _ in range(40):
-            frame = self.held_out_batch(rng, 1)
+        for frame in self.held_out_batches():
             with self.autocast():
                 logits, predicted = self.module(as_input(frame["picture"]))
             logits, predicted, heat, regression, weight = (
@@ -201,11 +207,9 @@ class CropStage(StageBase):
     def validate(self) -> dict[str, float]:
         """Distance of voted keypoints from the (nearest equivalent) truth in crop pixels."""
         self.module.eval()
-        rng = np.random.default_rng(1)
         stride = self.networks.features.config.stride
         errors: list[np.ndarray] = []
-        for _ in range(10):
-            batch = self.held_out_batch(rng, 32)
+        for batch in self.held_out_batches():
             with self.autocast():
                 out = self.module(as_input(batch["crop"]), batch["object"])
             mean, poses, cameras = (

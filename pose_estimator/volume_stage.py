@@ -56,6 +56,8 @@ class VolumeStage(StageBase):
         super().__init__(*args, **kwargs)
         self.pose_noise = pose_noise
         self.pose_weight = pose_weight
+        # Volumes with voxels of a fixed size are a hundred times as large as others.
+        self.validation = (16, 16) if self.networks.volume.config.fine.cells else (24, 2)
         self.networks.features.requires_grad_(False)
         heads = self.networks.features.volume_heads.requires_grad_(True)
         self._module = torch.nn.ModuleDict({"volume": self.networks.volume, "heads": heads})
@@ -171,13 +173,10 @@ class VolumeStage(StageBase):
     def validate(self) -> dict[str, float]:
         """3D keypoint distance over the diameter, and ADD(-S) recall, guess with noise."""
         self.networks.volume.eval()
-        rng = np.random.default_rng(1)
         errors: list[np.ndarray] = []
         hits: list[bool] = []
-        # Volumes with voxels of a fixed size are a hundred times as large as others.
-        rounds, size = (16, 16) if self.networks.volume.config.fine.cells else (24, 2)
-        for _ in range(rounds):
-            out = self.forward(self.held_out_batch(rng, size))
+        for batch in self.held_out_batches():
+            out = self.forward(batch)
             solution = self.solve(out["levels"][-1], out)
             distance = (out["levels"][-1].keypoints - out["truth"]).norm(dim=-1).mean(1)
             errors.append((distance / out["diameter"]).cpu().numpy())

@@ -90,22 +90,23 @@ def test_killed_while_saving_the_old_one_is_whole(
     assert len(list(tmp_path.iterdir())) == files  # what the killed one left is gone
 
 
-def test_killed_before_the_old_form_is_removed_the_new_one_counts(tmp_path: Path, monkeypatch):
+@pytest.mark.parametrize(("first", "then"), [(0, 1), (1, 0)])
+def test_killed_before_the_old_form_is_removed_the_new_one_counts(
+    tmp_path: Path, monkeypatch, first: int, then: int
+):
     path = tmp_path / "features.safetensors"
-    for first, then in ((0, 1), (1, 0)):
-        save_checkpoint(path, some_tensors(1), {"step": 8}, first)
+    save_checkpoint(path, some_tensors(1), {"step": 8}, first)
+    unlink = Path.unlink
 
-        unlink = Path.unlink
+    def killed(self: Path, missing_ok: bool = False) -> None:
+        if self.suffix != ".tmp":
+            raise KeyboardInterrupt
+        unlink(self, missing_ok)
 
-        def killed(self: Path, missing_ok: bool = False) -> None:
-            if self.suffix != ".tmp":
-                raise KeyboardInterrupt
-            unlink(self, missing_ok)
-
-        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-            patch.setattr(Path, "unlink", killed)
-            save_checkpoint(path, some_tensors(2), {"step": 3}, then)
-        assert is_saved(path, 2, 3)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Path, "unlink", killed)
+        save_checkpoint(path, some_tensors(2), {"step": 3}, then)
+    assert is_saved(path, 2, 3)
 
 
 def test_a_tensor_that_fits_no_part_is_named(tmp_path: Path):

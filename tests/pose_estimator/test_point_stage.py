@@ -9,7 +9,6 @@ from boxes_with_depth import box_depth
 from scipy.spatial.transform import Rotation
 from torch import nn
 from torch.nn import functional as F
-from two_view_pose.pose_estimator import point_stage
 from two_view_pose.pose_estimator.crops import CropPack
 from two_view_pose.pose_estimator.dataset import TrainingSet
 from two_view_pose.pose_estimator.features import FeatureConfig, Features2D
@@ -175,9 +174,9 @@ def test_losses_of_votes_by_hand():
     np.testing.assert_allclose(log_error.grad[0, :2, 0], [0, -2 / 18], atol=1e-6)
 
 
-def test_validation_is_of_the_held_out_crops(make_stage, monkeypatch):
-    monkeypatch.setattr(point_stage, "_HELD_OUT_BATCHES", 1)
+def test_validation_is_of_the_held_out_crops(make_stage):
     stage = make_stage(2)
+    stage.validation = (1, 32)
     figures = stage.validate()
     assert set(figures) == {"keypoint_over_diameter", "add_recall"}
     assert 0 <= figures["add_recall"] <= 1 and figures["keypoint_over_diameter"] > 0
