@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.overrides import TorchFunctionMode
+from torch.utils._pytree import tree_leaves
 
 
 class OnHost(Tensor):
@@ -28,6 +30,18 @@ class OnHost(Tensor):
         if name in ("float", "double", "reshape"):
             return result.as_subclass(OnHost)
         raise RuntimeError(f"{name} of an array's tensor, which was not moved to the device")
+
+
+class NothingElsewhere(TorchFunctionMode):
+    """Raises where a tensor on "meta" is made; not every operation on one does."""
+
+    def __torch_function__(
+        self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None
+    ) -> Any:
+        result = func(*args, **(kwargs or {}))
+        if any(isinstance(part, Tensor) and part.is_meta for part in tree_leaves(result)):
+            raise RuntimeError(f"{func.__name__} made a tensor without its device")
+        return result
 
 
 @contextlib.contextmanager
@@ -50,7 +64,7 @@ def strict_host() -> Iterator[None]:
         return numpy(self)
 
     _forget()
-    with pytest.MonkeyPatch.context() as patch, torch.device("meta"):
+    with pytest.MonkeyPatch.context() as patch, torch.device("meta"), NothingElsewhere():
         patch.setattr(Tensor, "cpu", fetch)
         patch.setattr(Tensor, "numpy", read)
         patch.setattr(torch, "from_numpy", lambda array: from_numpy(array).as_subclass(OnHost))

@@ -133,7 +133,7 @@ def test_votes_points_and_plane_sweeps_are_made_where_their_inputs_are():
     "wrong",
     [
         lambda x: x + torch.zeros(3),
-        lambda x: (x @ torch.eye(3)).cpu(),  # goes on elsewhere, silently
+        lambda x: x[None] @ torch.eye(3),
         lambda x: x + torch.from_numpy(np.ones(3)),
         lambda x: x.numpy(),
         lambda x: np.asarray(x),

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -69,6 +70,20 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path: Path):
     for name, tensor in whole.module.state_dict().items():
         assert torch.equal(tensor, resumed.module.state_dict()[name]), name
     assert [path.name for path in out.iterdir()] == ["line.safetensors"]
+
+
+@pytest.mark.parametrize("part_mib", [0, 0.004])
+def test_a_run_out_of_time_continues_to_the_same_bits(tmp_path: Path, part_mib):
+    whole, late, resumed = (LineStage(20) for _ in range(3))
+    assert run_stage(whole, LoopConfig(tmp_path / "whole"), silent) == 20
+    out = tmp_path / "late"
+    config = LoopConfig(out, deadline=time.monotonic() - 1, max_part_mib=part_mib)
+    assert run_stage(late, config, silent) == 1
+    assert (len(list(out.iterdir())) > 2) == (part_mib > 0)
+    config = LoopConfig(out, deadline=time.monotonic() + 3600, max_part_mib=part_mib)
+    assert run_stage(resumed, config, silent) == 20 and resumed.drawn[0] == 1
+    for name, tensor in whole.module.state_dict().items():
+        assert torch.equal(tensor, resumed.module.state_dict()[name]), name
 
 
 def test_a_finished_stage_is_restored_and_not_trained_again(tmp_path: Path):

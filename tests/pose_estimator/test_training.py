@@ -4,6 +4,7 @@ import copy
 import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import torch
 from boxes_with_depth import box_depth
 from safetensors.torch import load_file
 from two_view_pose import assets, pose_estimator
-from two_view_pose.pose_estimator import crops, trainer, training_config
+from two_view_pose.pose_estimator import crops, optimizer, trainer, training, training_config
 from two_view_pose.pose_estimator.bop import read_dataset, read_mask, read_rgb
 from two_view_pose.pose_estimator.bop_writer import BopFrame, write_scene
 from two_view_pose.pose_estimator.crops import CropPack
@@ -60,6 +61,49 @@ def test_all_stages_end_in_weights_that_load(
     assert header["held_out"] == {f"{stage}/figure": 0.5 for stage in stages}
     train_estimator(config)  # finished: nothing is trained again
     assert path.read_bytes() == again and read_header(path) == header
+
+
+def test_a_budget_ends_in_weights_and_the_same_command_goes_on(
+    dataset: Path, pack: CropPack, boxes, tmp_path: Path, monkeypatch, capsys
+):
+    monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
+    for name, stage in (("detector", DetectorStage), ("features", FeatureStage)):
+        monkeypatch.setitem(training_config._STAGES, name, (2, 1e-3))
+        monkeypatch.setattr(stage, "validate", lambda self: {"figure": 0.5})
+    monkeypatch.setattr(optimizer, "_LEAST_SIDE", 10**9)  # AdamW alone, which is quicker
+    minutes = 0.0
+    clock = SimpleNamespace(monotonic=lambda: 60 * minutes)
+    for module in (training, trainer):
+        monkeypatch.setattr(module, "time", clock)
+    loss = DetectorStage.loss
+
+    def a_minute(self, batch: dict) -> tuple:
+        nonlocal minutes
+        minutes += 1
+        return loss(self, batch)
+
+    monkeypatch.setattr(DetectorStage, "loss", a_minute)
+
+    def run(out: str, **options) -> Path:
+        return train_estimator(
+            TrainEstimatorConfig(
+                data=dataset, out=tmp_path / out, stages=("detector", "features"), threads=1,
+                detector_steps=2, feature_steps=1, pretrained=False, validation=0.3, workers=0,
+                device="cpu", **options,
+            )
+        )  # fmt: skip
+
+    path = run("budget", max_minutes=0.5)
+    header = read_header(path)
+    assert header["training"]["steps"] == {"detector": 1} and header["trained"] == ["detector"]
+    printed = capsys.readouterr().out
+    assert "stopped after 0.5 minutes; the same command goes on with detector (1 of 2" in printed
+    assert "features (0 of 1 steps)" in printed and "on cpu in" in printed
+    run("budget", max_minutes=1.5)
+    assert read_header(path)["training"]["steps"] == {"detector": 2, "features": 1}
+    assert "stopped" not in capsys.readouterr().out
+    whole = load_file(run("whole"))
+    assert all(torch.equal(tensor, whole[name]) for name, tensor in load_file(path).items())
 
 
 @pytest.fixture

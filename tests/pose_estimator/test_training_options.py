@@ -123,12 +123,22 @@ def test_a_new_volume_leaves_the_parts_that_do_not_read_it(
         ({"pose_noise": (-1.0, 0.0)}, "pose_noise must be finite and at least 0"),
         ({"pose_noise": (0.0, float("inf"))}, "pose_noise must be finite"),
         ({"pose_loss": -0.1}, "pose_loss must be finite and at least 0, got -0.1"),
+        ({"workers": -1}, "workers must be at least 0, got -1"),
+        ({"max_minutes": float("inf")}, "max_minutes must be finite and at least 0, got inf"),
+        ({"max_part_mib": 1}, "max_part_mib must be 0, or 2 or more .* got 1"),
         ({"cut_and_paste": 1.2}, "cut_and_paste must be 0 to 1, got 1.2"),
     ],
 )
 def test_wrong_options_are_told(tmp_path: Path, options, message):
     with pytest.raises(ValueError, match=message):
         TrainEstimatorConfig(data=tmp_path, out=tmp_path, **options)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA GPU")
+def test_a_gpu_that_is_not_there_is_told_before_any_work(dataset: Path, tmp_path: Path):
+    with pytest.raises(ValueError, match=r"device 'cuda:3': .* use cpu or auto"):
+        train_estimator(TrainEstimatorConfig(data=dataset, out=tmp_path / "out", device="cuda:3"))
+    assert not (tmp_path / "out").exists()
 
 
 def test_one_scene_is_told_before_any_training(boxes, pack: CropPack):
