@@ -101,6 +101,13 @@ class CropPack:
         return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
 
+class _MappedFile(np.memmap):
+    """The bytes of a file, which another process opens itself instead of being sent them."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _MappedFile, (self.filename, self.dtype, "r")
+
+
 def _decode(data: np.ndarray, flags: int) -> np.ndarray:
     picture = cv2.imdecode(data, flags)
     if picture is None:
@@ -148,8 +155,8 @@ def pack_dataset(
         arrays = {name: index[name] for name in index.files}
     return CropPack(
         object_names=tuple(objects),
-        crops=np.memmap(folder / "crops.bin", np.uint8, "r"),
-        frames=np.memmap(folder / "frames.bin", np.uint8, "r"),
+        crops=_MappedFile(folder / "crops.bin", np.uint8, "r"),
+        frames=_MappedFile(folder / "frames.bin", np.uint8, "r"),
         **arrays,
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,11 +12,10 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from .cascade import CascadeViews, DepthOutput, half_range
-from .loader import batches
+from .dataset import TrainingSet
+from .loader import Batch, Draw, Sample
 from .stages import StageBase
-from .target_sample import TargetSample, generator_of, stack_targets
-
-_Pair = tuple[TargetSample, TargetSample, np.ndarray]
+from .target_sample import arrays_of_pair, as_input
 
 _LEVEL_WEIGHTS = (0.5, 1.0, 2.0)
 """Of the stages' losses, as Cas-MVSNet has them."""
@@ -53,19 +53,29 @@ class CascadeStage(StageBase):
     """
 
     name = "cascade"
+    validation = (16, 8)
 
     def __init__(self, *args: Any, **kwargs: Any):
         super().__init__(*args, **kwargs)
         self.networks.features.requires_grad_(False)
         models = self.train.models
-        self.diameters = torch.tensor([m.diameter for m in models], dtype=torch.float32)
+        self.diameters = torch.tensor(
+            [m.diameter for m in models], dtype=torch.float32, device=self.device
+        )
 
     @property
     def module(self) -> torch.nn.Module:
         return self.networks.cascade
 
-    def batches(self, start: int) -> Iterator[list[_Pair]]:
-        """Endless batches from number ``start`` on.
+    @property
+    def running(self) -> tuple[torch.nn.Module, ...]:
+        return (self.networks.cascade,)
+
+    def drawing(self, *, held_out: bool = False) -> Draw:
+        return partial(draw_guessed_pair, self.held_out if held_out else self.train)
+
+    def batches(self, start: int) -> Iterator[Batch]:
+        """Batches from number ``start`` to the last, on the device.
 
         Raises:
             ValueError: if the dataset has no depth maps.
@@ -75,55 +85,44 @@ class CascadeStage(StageBase):
                 "the stage cascade needs depth maps, and the dataset has none: make one with "
                 "python -m two_view_pose generate --depth"
             )
-        return batches(self.train.draw_pair, self.batch, self.seed, start)
+        return super().batches(start)
 
-    def forward(
-        self, batch: list[_Pair], rng: np.random.Generator | None = None
-    ) -> tuple[list[DepthOutput], list[Truth]]:
-        """Runs a batch of pairs; the guess of the centre's depth is the truth with noise.
-
-        Args:
-            batch: the pairs.
-            rng: of the noise; None = each pair has its own, wherever in a batch it stands.
+    def forward(self, batch: Batch) -> tuple[list[DepthOutput], list[Truth]]:
+        """Runs a batch of pairs of :func:`draw_guessed_pair`.
 
         Returns:
             What each stage says, and what it should say.
         """
         networks = self.networks
         networks.features.eval()
-        count = len(batch)
-        tensors = stack_targets([s for first, second, _ in batch for s in (first, second)])
-        index = tensors["object"][::2]
-        diameter = self.diameters[index]
-        T_second_ref = torch.from_numpy(np.stack([T for _, _, T in batch])).float()
-        rngs = [generator_of(first, self.seed) if rng is None else rng for first, _, _ in batch]
-        noise = np.array([own.normal(0, _GUESS_NOISE) for own in rngs])
-        noise = noise.clip(-_WORST_GUESS, _WORST_GUESS)
-        guess = tensors["T_cam_obj"][::2, 2, 3] + torch.from_numpy(noise).float() * half_range(
-            networks.cascade.config.levels[0], diameter
-        )
+        diameter, distance = self.diameters[batch["object"]], batch["T_cam_obj"][:, 2, 3]
+        count = len(diameter)
+        reach = half_range(networks.cascade.config.levels[0], diameter)
         with self.autocast():
             with torch.no_grad():
-                maps = networks.features.encoder.pyramid(tensors["crop"])[:4]
+                maps = networks.features.encoder.pyramid(as_input(batch["crop"]))[:4]
+            T_second_ref = batch["T_second_ref"]
+            identity = torch.eye(4, device=self.device).expand_as(T_second_ref)
             outputs = networks.cascade(
                 CascadeViews(
                     maps=tuple(m.unflatten(0, (count, 2)) for m in maps),
-                    K=tensors["K"].unflatten(0, (count, 2)),
-                    T_view_ref=torch.stack([torch.eye(4).expand(count, 4, 4), T_second_ref], 1),
+                    K=batch["K"],
+                    T_view_ref=torch.stack([identity, T_second_ref], 1),
                 ),
-                guess,
+                distance + batch["guess_error"] * reach,
                 diameter,
             )
-        depths = [first.depth for first, _, _ in batch if first.depth is not None]
-        depth, mask = torch.from_numpy(np.stack(depths)), tensors["mask"][::2]
-        focal = torch.linalg.det(tensors["K"][::2, :2, :2]).abs().sqrt()
-        width = tensors["T_cam_obj"][::2, 2, 3] / focal
-        return outputs, [true_cells(depth, mask, output.stride, width) for output in outputs]
+        focal = torch.linalg.det(batch["K"][:, 0, :2, :2]).abs().sqrt()
+        truths = [
+            true_cells(batch["depth"], batch["mask"], output.stride, distance / focal)
+            for output in outputs
+        ]
+        return outputs, truths
 
-    def loss(self, batch: list[_Pair]) -> tuple[Tensor, dict[str, Tensor]]:
+    def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         self.networks.cascade.train()
         outputs, truths = self.forward(batch)
-        total = torch.zeros(())
+        total = torch.zeros((), device=self.device)
         numbers: dict[str, Tensor] = {}
         names = ("coarse", "middle", "fine")
         levels = self.networks.cascade.config.levels
@@ -139,18 +138,29 @@ class CascadeStage(StageBase):
     def validate(self) -> dict[str, float]:
         """Absolute error of the depth on the object in millimetres: median and 80th percentile."""
         self.networks.cascade.eval()
-        rng = np.random.default_rng(1)
         errors = []
-        for _ in range(16):
-            batch = [self.held_out.draw_pair(rng) for _ in range(8)]
-            outputs, truths = self.forward(batch, rng)
+        for batch in self.held_out_batches():
+            outputs, truths = self.forward(batch)
             on_object = (truths[-1].depth > 0) & (truths[-1].mask > 0.5)
             errors.append((outputs[-1].depth - truths[-1].depth)[on_object].abs())
-        error = 1000 * torch.cat(errors).numpy()
+        error = 1000 * torch.cat(errors).cpu().numpy()
         return {
             "depth_error_mm": float(np.median(error)),
             "depth_error_mm_p80": float(np.quantile(error, 0.8)),
         }
+
+
+def draw_guessed_pair(source: TrainingSet, rng: np.random.Generator) -> Sample:
+    """A pair, the depth of its first view, and a guess of its centre's depth."""
+    first, second, T_second_ref = source.draw_pair(rng)
+    error = np.clip(rng.normal(0, _GUESS_NOISE), -_WORST_GUESS, _WORST_GUESS)
+    return {
+        **arrays_of_pair(first, second),
+        "mask": first.mask,
+        "depth": first.depth,
+        "T_second_ref": T_second_ref.astype(np.float32),
+        "guess_error": np.float32(error),
+    }
 
 
 def true_cells(depth: Tensor, mask: Tensor, stride: int, pixel_width: Tensor) -> Truth:

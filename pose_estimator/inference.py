@@ -19,12 +19,11 @@ from torch import Tensor, nn
 
 from .cores import available_cores, idle_cores
 from .device import uses_bfloat16
-from .features import Features2D
 from .fused import fused
 from .networks import PoseNetworks
 from .thread_pools import shared_pool
 from .volume import ViewMaps
-from .voting import vote_keypoints
+from .voting import vote
 
 _CROPS = 3
 """Crops of a view that a core takes at once: with fewer it is slower for each, with more hardly
@@ -238,21 +237,3 @@ class Inference:
 def as_array(tensor: Tensor) -> np.ndarray:
     """A tensor as a float64 array."""
     return tensor.double().cpu().numpy()
-
-
-def vote(features: Features2D) -> tuple[Tensor, Tensor, Tensor]:
-    """Votes for the keypoints of B crops.
-
-    A pixel's weight is its probability to be on the object times how sure its vector is: vectors
-    are trained to unit length, and shrink where the network hesitates between directions.
-
-    Returns:
-        mean (B, 9, 2), covariance (B, 9, 2, 2) in pixels of the feature grid, and score (B, 9).
-    """
-    directions = features.directions.detach().float()
-    x, y = directions.unbind(2)
-    sure = (x * x + y * y).clamp(max=1.0)
-    inside = torch.sigmoid(features.mask_logits.detach().float())
-    inside = torch.where(inside > 0.3, inside, torch.zeros_like(inside))
-    votes = vote_keypoints(directions, inside[:, None] * sure)
-    return votes.mean, votes.covariance, votes.score

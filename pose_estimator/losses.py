@@ -1,16 +1,10 @@
-"""What the networks are trained to minimise.
-
-Where several processes train together, each loss is a process's part of it: the mean over the
-processes is the loss of the whole batch.
-"""
+"""What the networks are trained to minimise."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
-
-from .data_parallel import quotient
 
 
 def heat_map_loss(logits: Tensor, heat: Tensor) -> Tensor:
@@ -24,13 +18,14 @@ def heat_map_loss(logits: Tensor, heat: Tensor) -> Tensor:
     positive = heat >= 0.999
     at_centre = -torch.log(probability) * (1 - probability) ** 2
     elsewhere = -torch.log(1 - probability) * probability**2 * (1 - heat) ** 4
-    return quotient(torch.where(positive, at_centre, elsewhere).sum(), positive.sum())
+    total = torch.where(positive, at_centre, elsewhere).sum()
+    return total / positive.sum().clamp(min=1)
 
 
 def box_loss(regression: Tensor, target: Tensor, weight: Tensor) -> Tensor:
     """L1 loss of centre offset and size where ``weight`` (B, N, H, W) is set."""
     difference = (regression - target).abs() * weight.unsqueeze(2)
-    return quotient(difference.sum(), 3 * weight.sum())
+    return difference.sum() / (3 * weight.sum()).clamp(min=1)
 
 
 def mask_loss(logits: Tensor, mask: Tensor) -> Tensor:

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from .data_parallel import quotient
+from .dataset import TrainingSet
 from .depth_augmentation import DepthAugmentationConfig, augment_depth
 from .geometry import grid_matrix
-from .loader import batches
+from .loader import Batch, Draw, Sample
 from .losses import keypoint_loss, pose_loss
 from .point_cloud import LEAST_POINTS, sample_points
 from .point_voting import PointMaps, PointVotes, point_features
 from .solvers import RigidMotions, solve
-from .stages import StageBase, correct_poses, vote_apart
-from .target_sample import TargetSample, generator_of, stack_targets
-
-_HELD_OUT_BATCHES = 10
-"""Batches of 32 crops that a validation takes."""
+from .stages import StageBase, correct_poses, table
+from .target_sample import arrays_of, as_input
+from .voting import vote
 
 
 class PointStage(StageBase):
@@ -37,16 +35,28 @@ class PointStage(StageBase):
         super().__init__(*args, **kwargs)
         self.networks.features.requires_grad_(False)
         models = self.train.models
-        self.keypoints = torch.from_numpy(np.stack([m.keypoints for m in models])).float()
-        self.diameters = torch.tensor([m.diameter for m in models], dtype=torch.float32)
-        self.symmetries = [torch.from_numpy(m.symmetries).float() for m in models]
+        keypoints = np.stack([m.keypoints for m in models])
+        self.keypoints = torch.from_numpy(keypoints).float().to(self.device)
+        self.diameters = torch.tensor(
+            [m.diameter for m in models], dtype=torch.float32, device=self.device
+        )
+        self.symmetries = table([m.symmetries for m in models]).float().to(self.device)
+        to_grid = grid_matrix(self.networks.features.config.stride)
+        self._to_grid = torch.from_numpy(to_grid).float().to(self.device)
 
     @property
     def module(self) -> torch.nn.Module:
         return self.networks.points
 
-    def batches(self, start: int) -> Iterator[list[TargetSample]]:
-        """Endless batches from number ``start`` on.
+    @property
+    def running(self) -> tuple[torch.nn.Module, ...]:
+        return self.networks.features, self.networks.points
+
+    def drawing(self, *, held_out: bool = False) -> Draw:
+        return partial(draw_noisy, self.held_out if held_out else self.train)
+
+    def batches(self, start: int) -> Iterator[Batch]:
+        """Batches from number ``start`` to the last, on the device.
 
         Raises:
             ValueError: if the dataset has no depth maps.
@@ -56,43 +66,28 @@ class PointStage(StageBase):
                 "the stage points needs depth maps, and the dataset has none: make one with "
                 "python -m two_view_pose generate --depth"
             )
-        return batches(lambda rng: noisy(self.train, rng), self.batch, self.seed, start)
+        return super().batches(start)
 
-    def forward(
-        self, batch: list[TargetSample], rng: np.random.Generator | None = None
-    ) -> dict[str, Any]:
-        """Runs a batch. Crops with too few points are not ``enough``.
-
-        Args:
-            batch: the crops.
-            rng: chooses the points; None = each crop has its own, wherever in a batch it stands.
-        """
+    def forward(self, batch: Batch) -> dict[str, Any]:
+        """Runs a batch of :func:`draw_noisy`; crops with too few points are not ``enough``."""
         networks = self.networks
         networks.features.eval()
-        tensors = stack_targets(batch)
-        depth = torch.from_numpy(np.stack([s.depth for s in batch if s.depth is not None]))
-        index = tensors["object"]
+        index, K = batch["object"], batch["K"]
         diameter = self.diameters[index]
         with torch.no_grad(), self.autocast():
-            out = networks.features(tensors["crop"], index)
-        mean, covariance = vote_apart(out, 1)
-        to_grid = torch.from_numpy(grid_matrix(networks.features.config.stride)).float()
+            out = networks.features(as_input(batch["crop"]), index)
+        mean, covariance, _ = vote(out)
         mask = torch.sigmoid(out.mask_logits.float())
         features = point_features(out.decoder, mask)
-        maps = PointMaps(features, mean, covariance, to_grid @ tensors["K"])
-        rngs = [generator_of(s, self.seed) if rng is None else rng for s in batch]
-        generators = [torch.Generator().manual_seed(int(own.integers(2**31))) for own in rngs]
+        maps = PointMaps(features, mean, covariance, self._to_grid @ K)
+        # Each crop has its own draws, wherever in a batch it stands.
+        draws = [torch.Generator("cpu").manual_seed(n) for n in batch["points_seed"].tolist()]
         cloud = sample_points(
-            depth,
-            mask,
-            tensors["K"],
-            diameter,
-            networks.points.config.points,
-            generators,
+            batch["depth"], mask, K, diameter, networks.points.config.points, draws
         )
         enough = cloud.valid.sum(1) >= LEAST_POINTS
         votes = networks.points(maps, cloud, index, diameter)
-        T_true = self.nearest_equivalent(votes.keypoints, tensors["T_cam_obj"], index)
+        T_true = self.nearest_equivalent(votes.keypoints, batch["T_cam_obj"], index)
         truth = self._place(T_true, index)
         return {
             "votes": votes, "cloud": cloud, "truth": truth, "T_true": T_true, "index": index,
@@ -106,26 +101,19 @@ class PointStage(StageBase):
         All points of a cloud must mean the same pose; which of the equivalents it is, is theirs to
         choose.
         """
-        chosen = T_cam_obj.clone()
-        for sample, number in enumerate(index.tolist()):
-            symmetries = self.symmetries[number]
-            if len(symmetries) > 1:
-                poses = T_cam_obj[sample] @ symmetries
-                placed = self._place(poses, index[sample].expand(len(poses)))
-                distance = (placed - keypoints[sample].detach()).norm(dim=-1).sum(-1)
-                chosen[sample] = poses[int(distance.argmin())]
-        return chosen
+        poses = T_cam_obj[:, None] @ self.symmetries[index]
+        placed = self._place(poses, index[:, None].expand(poses.shape[:2]))
+        distance = (placed - keypoints.detach()[:, None]).norm(dim=-1).sum(-1)
+        return poses[torch.arange(len(index), device=index.device), distance.argmin(1)]
 
     def _place(self, T_cam_obj: Tensor, index: Tensor) -> Tensor:
-        """Keypoints (B, 9, 3) of objects in poses (B, 4, 4)."""
-        return self.keypoints[index] @ T_cam_obj[:, :3, :3].mT + T_cam_obj[:, None, :3, 3]
+        """Keypoints (..., 9, 3) of objects (...) in poses (..., 4, 4)."""
+        return self.keypoints[index] @ T_cam_obj[..., :3, :3].mT + T_cam_obj[..., None, :3, 3]
 
-    def loss(self, batch: list[TargetSample]) -> tuple[Tensor, dict[str, Tensor]]:
+    def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         self.networks.points.train()
         out = self.forward(batch)
         keep, votes, solution = out["enough"], out["votes"], out["solution"]
-        # Of all crops that are kept, in whatever process, each counts the same.
-        share = quotient(keep.sum(), keep.sum())
         if not keep.any():
             nothing = 0 * (votes.candidates.sum() + votes.log_error.sum())
             return nothing, dict.fromkeys(("offset", "sure", "distance", "pose"), nothing)
@@ -141,21 +129,18 @@ class PointStage(StageBase):
             solution.rotation[keep], solution.translation[keep], T_true, diameter, alpha=0.3
         )
         total = 2.0 * offset + 0.2 * sure + 4.0 * distance + pose
-        numbers = {"offset": offset, "sure": sure, "distance": distance, "pose": pose}
-        return share * total, {name: share * part for name, part in numbers.items()}
+        return total, {"offset": offset, "sure": sure, "distance": distance, "pose": pose}
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
         """3D keypoint distance over the diameter, and ADD(-S) recall, on noisy depth."""
         self.networks.points.eval()
-        rng = np.random.default_rng(1)
         errors: list[np.ndarray] = []
         hits: list[bool] = []
-        for _ in range(_HELD_OUT_BATCHES):
-            batch = [noisy(self.held_out, rng) for _ in range(32)]
-            out = self.forward(batch, rng)
+        for batch in self.held_out_batches():
+            out = self.forward(batch)
             distance = (out["votes"].keypoints - out["truth"]).norm(dim=-1).mean(1)
-            errors.append((distance / out["diameter"])[out["enough"]].numpy())
+            errors.append((distance / out["diameter"])[out["enough"]].cpu().numpy())
             keep = out["enough"]
             motions = RigidMotions(*(part[keep] for part in out["solution"]))
             hits += correct_poses(
@@ -167,11 +152,14 @@ class PointStage(StageBase):
         }
 
 
-def noisy(source: Any, rng: np.random.Generator) -> TargetSample:
-    """A random target, its depth spoilt as a sensor would."""
+def draw_noisy(source: TrainingSet, rng: np.random.Generator) -> Sample:
+    """A random target, its depth spoilt as a sensor would, and a seed of which points are drawn."""
     sample = source.draw_target(rng)
+    assert sample.depth is not None
+    drawn = arrays_of(sample)
+    del drawn["mask"], drawn["directions"]
     depth = augment_depth(sample.depth, DepthAugmentationConfig(), rng)
-    return replace(sample, depth=depth)
+    return {**drawn, "depth": depth, "points_seed": int(rng.integers(2**31))}
 
 
 def vote_losses(

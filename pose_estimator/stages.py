@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -12,37 +12,40 @@ from torch import Tensor
 
 from ..assets.object_model import ObjectModel
 from .dataset import TrainingSet
-from .detector import decode
+from .detector import DetectorConfig, decode
 from .device import uses_bfloat16
-from .features import Features2D
 from .geometry import make_transform
-from .inference import vote
-from .loader import batches, own_generators, prepared
+from .loader import Batch, Draw, NumberedBatches, Sample, collate, load, to_device
 from .losses import box_loss, direction_loss, heat_map_loss, mask_loss
 from .metrics import add_or_add_s
 from .networks import PoseNetworks
 from .solvers import RigidMotions
-from .target_sample import TargetSample, stack_targets
-
-_Frame = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+from .target_sample import arrays_of, as_input
+from .voting import vote
 
 
 class StageBase:
     """What every stage holds.
 
     Args:
-        networks: of which it trains a part.
+        networks: of which it trains a part, on the device where they are.
         train: where its batches come from.
         held_out: where it is validated.
         steps: batches in all.
         batch: samples in each, in each of the processes that train together.
         learning_rate: its maximum.
         seed: of the batches.
+        workers: processes that draw them, see :func:`load`.
+
+    Attributes:
+        validation: how many held-out batches are measured, and the samples in each.
     """
+
+    validation = (10, 32)
 
     def __init__(
         self, networks: PoseNetworks, train: TrainingSet, held_out: TrainingSet, *,
-        steps: int, batch: int, learning_rate: float, seed: int
+        steps: int, batch: int, learning_rate: float, seed: int, workers: int = 0
     ):  # fmt: skip
         self.networks = networks
         self.train = train
@@ -51,25 +54,50 @@ class StageBase:
         self.batch = batch
         self.learning_rate = learning_rate
         self.seed = seed
+        self.workers = workers
         self.device = networks.device
         self.bfloat16 = uses_bfloat16(self.device)
+
+    @property
+    def module(self) -> torch.nn.Module:
+        """What is trained."""
+        raise NotImplementedError
+
+    @property
+    def running(self) -> tuple[torch.nn.Module, ...]:
+        """The networks that a batch runs through."""
+        return (self.module,)
+
+    def drawing(self, *, held_out: bool = False) -> Draw:
+        """What draws a sample; of functions and data alone, so that it can go to a worker."""
+        raise NotImplementedError
+
+    def choosing(self) -> Callable[[np.random.Generator], int] | None:
+        """What draws the one thing that the samples of a batch have in common, if any."""
+        return None
+
+    def batches(self, start: int) -> Iterator[Batch]:
+        """Batches from number ``start`` to the last, on the device."""
+        drawn = NumberedBatches(self.drawing(), self.batch, self.seed, self.choosing())
+        return load(drawn, range(start, self.steps), self.workers, self.device)
+
+    def held_out_batches(self) -> Iterator[Batch]:
+        """The same batches of held-out samples each time, on the device."""
+        draw, rng = self.drawing(held_out=True), np.random.default_rng(1)
+        count, size = self.validation
+        for _ in range(count):
+            yield to_device(collate([draw(rng) for _ in range(size)]), self.device)
 
     def autocast(self) -> torch.autocast:
         """bfloat16 where the device is fast at it."""
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16)
 
 
-def vote_apart(features: Features2D, size: int) -> tuple[Tensor, Tensor]:
-    """Votes for ``size`` crops at a time, so that the batch around them does not change them.
-
-    That costs no more than all at once.
-
-    Returns:
-        mean (B, 9, 2) and covariance (B, 9, 2, 2) in pixels of the feature grid.
-    """
-    parts = zip(*(part.split(size) for part in features), strict=True)
-    mean, covariance, _ = zip(*(vote(Features2D(*part)) for part in parts), strict=True)
-    return torch.cat(mean), torch.cat(covariance)
+def table(of_objects: Sequence[np.ndarray]) -> Tensor:
+    """Arrays (n, ...) of N objects as one (N, most, ...), filled up with each one's first row."""
+    most = max(len(own) for own in of_objects)
+    full = [np.concatenate([own, own[:1].repeat(most - len(own), 0)]) for own in of_objects]
+    return torch.from_numpy(np.stack(full))
 
 
 def correct_poses(
@@ -84,9 +112,13 @@ def correct_poses(
         models: the objects.
     """
     correct = []
-    rotations, translations = (part.double().numpy() for part in motions)
+    rotations, translations = (part.cpu().numpy().astype(np.float64) for part in motions)
     for R, t, number, T in zip(
-        rotations, translations, index.tolist(), T_true.double().numpy(), strict=True
+        rotations,
+        translations,
+        index.tolist(),
+        T_true.cpu().numpy().astype(np.float64),
+        strict=True,
     ):
         model = models[number]
         found = np.isfinite(R).all() and np.isfinite(t).all()
@@ -99,24 +131,22 @@ class DetectorStage(StageBase):
     """Centre heat maps on whole frames."""
 
     name = "detector"
+    validation = (40, 1)
 
     @property
     def module(self) -> torch.nn.Module:
         return self.networks.detector
 
-    def batches(self, start: int) -> Iterator[list[_Frame]]:
-        config = self.networks.detector.config
-        return batches(lambda rng: self.train.draw_frame(rng, config), self.batch, self.seed, start)
+    def drawing(self, *, held_out: bool = False) -> Draw:
+        source = self.held_out if held_out else self.train
+        return partial(draw_frame, source, self.networks.detector.config)
 
-    def loss(self, batch: list[_Frame]) -> tuple[Tensor, dict[str, Tensor]]:
+    def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         self.module.train()
-        frames, heat, regression, weight = (
-            torch.from_numpy(np.stack(part)) for part in zip(*batch, strict=True)
-        )
         with self.autocast():
-            logits, predicted = self.module(frames.permute(0, 3, 1, 2).float())
-        heat_part = heat_map_loss(logits.float(), heat)
-        box_part = box_loss(predicted.float(), regression, weight)
+            logits, predicted = self.module(as_input(batch["picture"]))
+        heat_part = heat_map_loss(logits.float(), batch["heat"])
+        box_part = box_loss(predicted.float(), batch["regression"], batch["weight"])
         return heat_part + box_part, {
             "heat": heat_part,
             "box": box_part,
@@ -127,18 +157,18 @@ class DetectorStage(StageBase):
         """How far detections are from the truth, in sides of the region of interest."""
         self.module.eval()
         config = self.networks.detector.config
-        rng = np.random.default_rng(1)
         errors, sizes = [], []
-        for _ in range(40):
-            picture, heat, regression, weight = self.held_out.draw_frame(rng, config)
-            frames = torch.from_numpy(picture).permute(2, 0, 1)[None].float()
+        for frame in self.held_out_batches():
             with self.autocast():
-                logits, predicted = self.module(frames)
+                logits, predicted = self.module(as_input(frame["picture"]))
+            logits, predicted, heat, regression, weight = (
+                part[0].float().cpu().numpy()
+                for part in (
+                    logits, predicted, frame["heat"], frame["regression"], frame["weight"]
+                )
+            )  # fmt: skip
             for index in np.flatnonzero(weight.any((1, 2))):
-                found = decode(
-                    logits[0, index].float().numpy(), predicted[0, index].float().numpy(),
-                    np.eye(3), config,
-                )  # fmt: skip
+                found = decode(logits[index], predicted[index], np.eye(3), config)
                 true = decode(heat[index] * 20 - 10, regression[index], np.eye(3), config)
                 errors.append(np.linalg.norm(found.centre - true.centre) / true.side)
                 sizes.append(abs(np.log(found.side / true.side)))
@@ -156,14 +186,16 @@ class CropStage(StageBase):
     def module(self) -> torch.nn.Module:
         return self.networks.features
 
-    def loss(self, batch: list[TargetSample]) -> tuple[Tensor, dict[str, Tensor]]:
+    def drawing(self, *, held_out: bool = False) -> Draw:
+        return partial(draw_crop, self.held_out if held_out else self.train)
+
+    def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         self.module.train()
-        tensors = stack_targets(batch)
         with self.autocast():
-            out = self.module(tensors["crop"], tensors["object"])
-        mask_part = mask_loss(out.mask_logits.float(), tensors["mask"])
+            out = self.module(as_input(batch["crop"]), batch["object"])
+        mask_part = mask_loss(out.mask_logits.float(), batch["mask"])
         direction_part = direction_loss(
-            out.directions.float(), tensors["directions"], (tensors["mask"] > 0.4).float()
+            out.directions.float(), batch["directions"], (batch["mask"] > 0.4).float()
         )
         total = mask_part + 2 * direction_part
         return total, {
@@ -175,21 +207,23 @@ class CropStage(StageBase):
     def validate(self) -> dict[str, float]:
         """Distance of voted keypoints from the (nearest equivalent) truth in crop pixels."""
         self.module.eval()
-        rng = np.random.default_rng(1)
         stride = self.networks.features.config.stride
         errors: list[np.ndarray] = []
-        for _ in range(10):
-            samples = [self.held_out.draw_target(rng) for _ in range(32)]
-            tensors = stack_targets(samples)
+        for batch in self.held_out_batches():
             with self.autocast():
-                out = self.module(tensors["crop"], tensors["object"])
-            mean, _, _ = vote(out)
-            for sample, voted in zip(samples, mean.numpy(), strict=True):
-                model = self.held_out.models[sample.object_index]
+                out = self.module(as_input(batch["crop"]), batch["object"])
+            mean, poses, cameras = (
+                part.cpu().numpy().astype(np.float64)
+                for part in (vote(out)[0], batch["T_cam_obj"], batch["K"])
+            )
+            for index, voted, T_cam_obj, K in zip(
+                batch["object"].tolist(), mean, poses, cameras, strict=True
+            ):
+                model = self.held_out.models[index]
                 distances = []
                 for S in model.symmetries:
-                    T = sample.T_cam_obj @ S
-                    uvw = (model.keypoints @ T[:3, :3].T + T[:3, 3]) @ sample.K.T
+                    T = T_cam_obj @ S
+                    uvw = (model.keypoints @ T[:3, :3].T + T[:3, 3]) @ K.T
                     pixels = voted * stride + (stride - 1) / 2
                     distances.append(np.linalg.norm(pixels - uvw[:, :2] / uvw[:, 2:], axis=1))
                 errors.append(min(distances, key=np.mean))
@@ -208,10 +242,6 @@ class FeatureStage(CropStage):
     def __init__(self, *args: Any, **kwargs: Any):
         super().__init__(*args, **kwargs)
         self.networks.features.share_decoders()
-
-    def batches(self, start: int) -> Iterator[list[TargetSample]]:
-        draw = partial(self.train.draw_target, with_depth=False)
-        return batches(draw, self.batch, self.seed, start)
 
 
 class DecoderStage(CropStage):
@@ -234,14 +264,21 @@ class DecoderStage(CropStage):
         for part in (features.encoder, features.embedding, features.film16, features.film4):
             part.requires_grad_(False)
 
-    def batches(self, start: int) -> Iterator[list[TargetSample]]:
-        """Batches of one object each: a batch norm must not see others."""
+    def choosing(self) -> Callable[[np.random.Generator], int]:
+        """Batches are of one object each: a batch norm must not see others."""
+        return partial(_choose, self.train.known)
 
-        def make(rng: np.random.Generator) -> list[TargetSample]:
-            index = int(rng.choice(self.train.known))
-            return [
-                self.train.draw_target(own, index, with_depth=False)
-                for own in own_generators(rng, self.batch)
-            ]
 
-        return prepared(make, self.seed, start)
+def draw_frame(source: TrainingSet, config: DetectorConfig, rng: np.random.Generator) -> Sample:
+    """A whole frame and what the detector should say of it."""
+    names = ("picture", "heat", "regression", "weight")
+    return dict(zip(names, source.draw_frame(rng, config), strict=True))
+
+
+def draw_crop(source: TrainingSet, rng: np.random.Generator, index: int | None = None) -> Sample:
+    """A crop of an object; without ``index`` each object is equally likely."""
+    return arrays_of(source.draw_target(rng, index, with_depth=False))
+
+
+def _choose(known: Sequence[int], rng: np.random.Generator) -> int:
+    return int(rng.choice(known))

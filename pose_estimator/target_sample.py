@@ -1,11 +1,11 @@
-"""One training crop: picture, mask, votes and camera; and many of them as tensors."""
+"""One training crop: picture, mask, votes and camera; and how it goes into a batch."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from .features import FeatureConfig
@@ -45,23 +45,28 @@ def direction_field(pixels: np.ndarray, config: FeatureConfig) -> np.ndarray:
     return field / np.maximum(np.linalg.norm(field, axis=1, keepdims=True), config.stride / 2)
 
 
-def stack_targets(samples: list[TargetSample]) -> dict[str, Tensor]:
-    """Collates samples into a batch; crops become float (B, 3, S, S), channels last."""
-    crops = torch.from_numpy(np.stack([s.crop for s in samples])).permute(0, 3, 1, 2).float()
+def arrays_of(sample: TargetSample) -> dict[str, Any]:
+    """What a batch of single crops holds of a sample."""
     return {
-        "crop": crops,
-        "mask": torch.from_numpy(np.stack([s.mask for s in samples])),
-        "directions": torch.from_numpy(np.stack([s.directions for s in samples])),
-        "object": torch.tensor([s.object_index for s in samples]),
-        "K": torch.from_numpy(np.stack([s.K for s in samples])).float(),
-        "T_cam_obj": torch.from_numpy(np.stack([s.T_cam_obj for s in samples])).float(),
+        "crop": sample.crop,
+        "mask": sample.mask,
+        "directions": sample.directions,
+        "object": sample.object_index,
+        "K": sample.K.astype(np.float32),
+        "T_cam_obj": sample.T_cam_obj.astype(np.float32),
     }
 
 
-def generator_of(sample: TargetSample, seed: int) -> np.random.Generator:
-    """A generator for what else is random about a sample that was drawn.
+def arrays_of_pair(first: TargetSample, second: TargetSample) -> dict[str, Any]:
+    """What a batch of pairs holds of one: crops and cameras of both views, the first's pose."""
+    return {
+        "crop": np.stack([first.crop, second.crop]),
+        "object": first.object_index,
+        "K": np.stack([first.K, second.K]).astype(np.float32),
+        "T_cam_obj": first.T_cam_obj.astype(np.float32),
+    }
 
-    It is the same wherever in a batch the sample stands, and another one for another draw of the
-    same target, whose camera K is jittered.
-    """
-    return np.random.default_rng([seed, *np.ascontiguousarray(sample.K).view(np.uint32).flat])
+
+def as_input(pictures: Tensor) -> Tensor:
+    """Pictures (..., H, W, 3) uint8 as a network's input (B, 3, H, W) float32, channels last."""
+    return pictures.flatten(0, -4).permute(0, 3, 1, 2).float()

@@ -147,7 +147,7 @@ def _model_triangles(points: torch.Tensor) -> _Triangles:
     """The triangles of a model (K, 3), which are remembered, or of several (B, K, 3)."""
     if points.ndim == 3 or points.device.type != "cpu":
         return _find_triangles(points)
-    return _known_triangles(points.numpy().tobytes(), points.shape, points.dtype)
+    return _known_triangles(points.cpu().numpy().tobytes(), points.shape, points.dtype)
 
 
 @lru_cache(maxsize=128)

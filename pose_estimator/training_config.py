@@ -62,8 +62,9 @@ class TrainEstimatorConfig:
     --init linemod, which keeps the 2D features, half an hour for one object.
 
     On several processes: `torchrun --nproc-per-node=W -m two_view_pose train-estimator ...` takes
-    batches W times as large, and trains what one process with such batches would; --out is one
-    folder for all. So that as many samples are seen, divide the steps by W. A run may be resumed
+    batches W times as large, and averages the gradients of their W parts; --out is one folder for
+    all. So that as many samples are seen, divide the steps by W. Each process takes a GPU of its
+    own, and batch norms see the whole batch; without GPUs, each its own part. A run may be resumed
     with another number of processes.
     """
 
@@ -136,11 +137,24 @@ class TrainEstimatorConfig:
     """Fraction of the scenes that is held out."""
     seed: int = 0
     """Of everything random."""
+    device: str = "auto"
+    """Where the networks run: auto (a GPU where there is one), cpu, cuda, cuda:N or mps."""
     threads: int = 0
     """Threads for the networks; 0 = as many as there are cores, which processes of `torchrun` on
     one machine share evenly."""
+    workers: int | None = None
+    """Processes that draw and bend the pictures of each training process; 0 = itself. None = one
+    for a processor; for a GPU as many as there are cores, less one, 16 at most. Each holds 4 MiB
+    batches in shared memory (docker run --shm-size=1g)."""
+    compile: bool = False
+    """Compile the networks with torch.compile, which needs a C++ compiler."""
+    max_minutes: float = 0.0
+    """Stop after so many minutes, counted from the start of the command, and write the weights as
+    they then are; the same command goes on. 0 = train to the end."""
     checkpoint_every: float = 120.0
     """Seconds between checkpoints."""
+    max_part_mib: int = 0
+    """Write checkpoints as files of at most so many MiB and an index; 0 = as one file each."""
     resume: bool = True
     """Continue from the checkpoints in --out; --no-resume starts anew."""
     json: Path | None = None
@@ -154,6 +168,14 @@ class TrainEstimatorConfig:
             steps = getattr(self, f"{part}_steps")
             if steps is not None and steps < 1:
                 raise ValueError(f"{part}_steps must be at least 1, got {steps}")
+        if self.workers is not None and self.workers < 0:
+            raise ValueError(f"workers must be at least 0, got {self.workers}")
+        if not 0 <= self.max_minutes < math.inf:
+            raise ValueError(f"max_minutes must be finite and at least 0, got {self.max_minutes}")
+        if self.max_part_mib != 0 and self.max_part_mib < 2:
+            raise ValueError(
+                f"max_part_mib must be 0, or 2 or more (a layer has one), got {self.max_part_mib}"
+            )
         if self.cycles < 1:
             raise ValueError(f"cycles must be at least 1, got {self.cycles}")
         if not 0 <= self.cut_and_paste <= 1:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -11,20 +10,23 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from .dataset import TrainingSet
 from .geometry import grid_matrix, make_transform
-from .loader import batches
+from .loader import Batch, Draw, Sample
 from .losses import distribution_loss, keypoint_loss, pose_loss
 from .solvers import RigidMotions, solve
-from .stages import StageBase, correct_poses, vote_apart
+from .stages import StageBase, correct_poses, table
 from .symmetry import keypoint_permutations
-from .target_sample import TargetSample, generator_of, stack_targets
+from .target_sample import arrays_of_pair, as_input
 from .volume import LevelOutput, ViewMaps
-
-_Pair = tuple[TargetSample, TargetSample, np.ndarray]
+from .voting import vote
 
 _KEYPOINT_WEIGHT = 4.0
 _DISTRIBUTION_WEIGHT = 0.2
 """The paper's beta2 and beta3; beta1, the pose loss's, is an argument."""
+
+_GUESS_NOISE = 0.1
+"""Standard deviation of the guess of the centre, in diameters."""
 
 
 class VolumeStage(StageBase):
@@ -54,58 +56,55 @@ class VolumeStage(StageBase):
         super().__init__(*args, **kwargs)
         self.pose_noise = pose_noise
         self.pose_weight = pose_weight
+        # Volumes with voxels of a fixed size are a hundred times as large as others.
+        self.validation = (16, 16) if self.networks.volume.config.fine.cells else (24, 2)
         self.networks.features.requires_grad_(False)
         heads = self.networks.features.volume_heads.requires_grad_(True)
-        self.module = torch.nn.ModuleDict({"volume": self.networks.volume, "heads": heads})
+        self._module = torch.nn.ModuleDict({"volume": self.networks.volume, "heads": heads})
         models = self.train.models
-        self.keypoints = torch.from_numpy(np.stack([m.keypoints for m in models])).float()
-        self.diameters = torch.tensor([m.diameter for m in models], dtype=torch.float32)
-        self.permutations = [keypoint_permutations(m.keypoints, m.symmetries) for m in models]
+        to_grid = grid_matrix(self.networks.features.config.stride)
+        self._to_grid = torch.from_numpy(to_grid).float().to(self.device)
+        keypoints = np.stack([m.keypoints for m in models])
+        self.keypoints = torch.from_numpy(keypoints).float().to(self.device)
+        self.diameters = torch.tensor(
+            [m.diameter for m in models], dtype=torch.float32, device=self.device
+        )
+        self.permutations = table(
+            [keypoint_permutations(m.keypoints, m.symmetries) for m in models]
+        ).to(self.device)
 
-    def batches(self, start: int) -> Iterator[list[_Pair]]:
-        draw = partial(self.train.draw_pair, with_depth=False)
-        return batches(draw, self.batch, self.seed, start)
+    @property
+    def module(self) -> torch.nn.Module:
+        return self._module
 
-    def forward(
-        self,
-        batch: list[_Pair],
-        rng: np.random.Generator | None = None,
-        pose_noise: tuple[float, float] = (0.0, 0.0),
-    ) -> dict[str, Any]:
-        """Runs a batch of pairs; the guess of the centre is the truth with noise.
+    @property
+    def running(self) -> tuple[torch.nn.Module, ...]:
+        return self.networks.features, self.networks.volume
 
-        Args:
-            batch: the pairs.
-            rng: of the noise; None = each pair has its own, wherever in a batch it stands.
-            pose_noise: of the relative pose that the volume is told, and nothing else.
-        """
+    def drawing(self, *, held_out: bool = False) -> Draw:
+        if held_out:
+            return partial(draw_guessed_pair, self.held_out, (0.0, 0.0))
+        return partial(draw_guessed_pair, self.train, self.pose_noise)
+
+    def forward(self, batch: Batch) -> dict[str, Any]:
+        """Runs a batch of pairs of :func:`draw_guessed_pair`."""
         networks = self.networks
         networks.features.eval()
-        count = len(batch)
-        tensors = stack_targets([s for first, second, _ in batch for s in (first, second)])
+        index, T_true = batch["object"], batch["T_cam_obj"]
+        count = len(index)
         with self.autocast():
-            out = networks.features(tensors["crop"], tensors["object"])
-        mean, covariance = vote_apart(out, 2)
-        mean, covariance = mean.reshape(count, 2, 9, 2), covariance.reshape(count, 2, 9, 2, 2)
-        index = tensors["object"][::2]
-        T_true = tensors["T_cam_obj"][::2]
-        T_second_ref = np.stack([T for _, _, T in batch])
-        K = tensors["K"].reshape(count, 2, 3, 3)
-        K = torch.from_numpy(grid_matrix(networks.features.config.stride)).float() @ K
-        projection = _projections(K, T_second_ref)
-        truth = self.keypoints[index] @ T_true[:, :3, :3].transpose(1, 2) + T_true[:, None, :3, 3]
-        self._agree(mean, covariance, projection, truth, index)
+            out = networks.features(as_input(batch["crop"]), index.repeat_interleave(2))
+        mean, covariance, _ = (part.unflatten(0, (count, 2)) for part in vote(out))
+        K = self._to_grid @ batch["K"]
+        truth = self.keypoints[index] @ T_true[:, :3, :3].mT + T_true[:, None, :3, 3]
+        mean, covariance = self.agree(
+            mean, covariance, _projections(K, batch["T_second_ref"]), truth, index
+        )
         diameter = self.diameters[index]
-        rngs = [generator_of(first, self.seed) if rng is None else rng for first, _, _ in batch]
-        noise = torch.from_numpy(np.stack([own.normal(0, 0.1, 3) for own in rngs])).float()
-        guess = truth[:, -1] + noise * diameter[:, None]
-        if any(pose_noise):
-            told = [perturb(T, *pose_noise, r) for T, r in zip(T_second_ref, rngs, strict=True)]
-            projection = _projections(K, np.stack(told))
-        side = out.volume.shape[-1]
+        guess = truth[:, -1] + batch["guess_error"] * diameter[:, None]
         maps = ViewMaps(
-            features=out.volume.reshape(count, 2, -1, side, side),
-            projection=projection,
+            features=out.volume.unflatten(0, (count, 2)),
+            projection=_projections(K, batch["told_T_second_ref"]),
             vote_mean=mean,
             vote_covariance=covariance,
         )
@@ -120,30 +119,35 @@ class VolumeStage(StageBase):
         """The poses that a level's keypoints mean, differentiably."""
         return solve(self.keypoints[out["index"]], level.keypoints.float(), out["diameter"])
 
-    def _agree(
+    def agree(
         self, mean: Tensor, covariance: Tensor, projection: Tensor, truth: Tensor, index: Tensor
-    ) -> None:
-        """Renumbers votes on symmetric objects to the pose that is trained, in place."""
-        for sample, number in enumerate(index.tolist()):
-            permutations = self.permutations[number]
-            if len(permutations) == 1:
-                continue
-            for view in range(mean.shape[1]):
-                P = projection[sample, view]
-                uvw = truth[sample] @ P[:, :3].T + P[:, 3]
-                pixels = uvw[:, :2] / uvw[:, 2:]
-                errors = [
-                    float((mean[sample, view, p] - pixels).norm(dim=-1).clamp(max=8.0).sum())
-                    for p in permutations
-                ]
-                best = torch.from_numpy(permutations[int(np.argmin(errors))])
-                mean[sample, view] = mean[sample, view, best].clone()
-                covariance[sample, view] = covariance[sample, view, best].clone()
+    ) -> tuple[Tensor, Tensor]:
+        """Renumbers votes on symmetric objects to the pose that is trained.
 
-    def loss(self, batch: list[_Pair]) -> tuple[Tensor, dict[str, Tensor]]:
+        Args:
+            mean: (B, V, 9, 2) of the votes.
+            covariance: (B, V, 9, 2, 2).
+            projection: (B, V, 3, 4).
+            truth: (B, 9, 3) keypoints in the pose that is trained.
+            index: (B,) of which object.
+
+        Returns:
+            The mean and the covariance of each keypoint's vote.
+        """
+        uvw = truth[:, None] @ projection[..., :3].mT + projection[..., None, :, 3]
+        pixels = uvw[..., :2] / uvw[..., 2:]
+        permutations = self.permutations[index]  # (B, P, 9)
+        samples = torch.arange(len(index), device=index.device)
+        permuted = mean.transpose(1, 2)[samples[:, None, None], permutations]  # (B, P, 9, V, 2)
+        miss = (permuted - pixels.transpose(1, 2)[:, None]).norm(dim=-1).clamp(max=8.0)
+        best = permutations[samples[:, None], miss.sum(2).argmin(1)]  # (B, V, 9)
+        places = samples[:, None, None], torch.arange(mean.shape[1], device=index.device)[:, None]
+        return mean[*places, best], covariance[*places, best]
+
+    def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         self.networks.volume.train()
-        out = self.forward(batch, pose_noise=self.pose_noise)
-        total = torch.zeros(())
+        out = self.forward(batch)
+        total = torch.zeros((), device=self.device)
         numbers: dict[str, Tensor] = {}
         for level, name in zip(out["levels"], ("coarse", "fine"), strict=True):
             distribution = distribution_loss(
@@ -169,17 +173,13 @@ class VolumeStage(StageBase):
     def validate(self) -> dict[str, float]:
         """3D keypoint distance over the diameter, and ADD(-S) recall, guess with noise."""
         self.networks.volume.eval()
-        rng = np.random.default_rng(1)
         errors: list[np.ndarray] = []
         hits: list[bool] = []
-        # Volumes with voxels of a fixed size are a hundred times as large as others.
-        rounds, size = (16, 16) if self.networks.volume.config.fine.cells else (24, 2)
-        for _ in range(rounds):
-            batch = [self.held_out.draw_pair(rng) for _ in range(size)]
-            out = self.forward(batch, rng)
+        for batch in self.held_out_batches():
+            out = self.forward(batch)
             solution = self.solve(out["levels"][-1], out)
             distance = (out["levels"][-1].keypoints - out["truth"]).norm(dim=-1).mean(1)
-            errors.append((distance / out["diameter"]).numpy())
+            errors.append((distance / out["diameter"]).cpu().numpy())
             hits += correct_poses(solution, out["index"], out["T_true"], self.held_out.models)
         return {
             "keypoint_over_diameter": float(np.mean(np.concatenate(errors))),
@@ -201,7 +201,28 @@ def perturb(
     return make_transform(turn, direction * rng.uniform(0, metres)) @ T_second_ref
 
 
-def _projections(K: Tensor, T_second_ref: np.ndarray) -> Tensor:
+def draw_guessed_pair(
+    source: TrainingSet, pose_noise: tuple[float, float], rng: np.random.Generator
+) -> Sample:
+    """A pair, a guess of its centre, and the relative pose that the volume is told of it.
+
+    Args:
+        source: of the pair.
+        pose_noise: largest error of the relative pose that is told, see :func:`perturb`.
+        rng: of the draws.
+    """
+    first, second, T_second_ref = source.draw_pair(rng, with_depth=False)
+    guess_error = rng.normal(0, _GUESS_NOISE, 3)
+    told = perturb(T_second_ref, *pose_noise, rng) if any(pose_noise) else T_second_ref
+    return {
+        **arrays_of_pair(first, second),
+        "T_second_ref": T_second_ref.astype(np.float32),
+        "told_T_second_ref": told.astype(np.float32),
+        "guess_error": guess_error.astype(np.float32),
+    }
+
+
+def _projections(K: Tensor, T_second_ref: Tensor) -> Tensor:
     """Projections (B, 2, 3, 4) of both views from K (B, 2, 3, 3) and T_second_ref (B, 4, 4)."""
-    second = torch.from_numpy(T_second_ref).float()
-    return K @ torch.stack([torch.eye(4).expand_as(second), second], 1)[:, :, :3]
+    identity = torch.eye(4, device=K.device).expand_as(T_second_ref)
+    return K @ torch.stack([identity, T_second_ref], 1)[:, :, :3]

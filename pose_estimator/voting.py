@@ -15,8 +15,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import torch
+
+if TYPE_CHECKING:
+    from .features import Features2D
 
 _HYPOTHESIS_POWER = 6
 """Proposals weigh (votes)**power in the covariance: the far intersection of a bad pair must not."""
@@ -118,6 +122,24 @@ def vote_keypoints(
         covariance = spread + line_covariance + (doubt[..., None, None] + _FLOOR**2) * identity
         covariance = covariance.clamp(-16 * extent**2, 16 * extent**2)
     return Votes(mean, covariance, score)
+
+
+def vote(features: Features2D) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Votes for the keypoints of B crops.
+
+    A pixel's say is its probability to be on the object times how sure its vector is: vectors are
+    trained to unit length, and shrink where the network hesitates between directions.
+
+    Returns:
+        mean (B, 9, 2), covariance (B, 9, 2, 2) in pixels of the feature grid, and score (B, 9).
+    """
+    directions = features.directions.detach().float()
+    x, y = directions.unbind(2)
+    sure = (x * x + y * y).clamp(max=1.0)
+    inside = torch.sigmoid(features.mask_logits.detach().float())
+    inside = torch.where(inside > 0.3, inside, torch.zeros_like(inside))
+    votes = vote_keypoints(directions, inside[:, None] * sure)
+    return votes.mean, votes.covariance, votes.score
 
 
 @lru_cache(maxsize=16)

@@ -15,10 +15,10 @@ from two_view_pose.__main__ import main
 from two_view_pose.pose_estimator.bop import read_dataset
 from two_view_pose.pose_estimator.bop_models_info import read_models_info
 from two_view_pose.pose_estimator.bop_pairs import read_pairs
+from two_view_pose.pose_estimator.checkpoints import read_numbers
 from two_view_pose.pose_estimator.geometry import check_rigid
 from two_view_pose.pose_estimator.results import read_results
 from two_view_pose.pose_estimator.stages import CropStage, DetectorStage
-from two_view_pose.pose_estimator.trainer import read_step
 from two_view_pose.pose_estimator.volume_stage import VolumeStage
 from two_view_pose.pose_estimator.weights import read_header
 
@@ -131,7 +131,7 @@ def test_a_killed_training_ends_with_the_same_weights(
 
     monkeypatch.setattr(CropStage, "loss", killed)
     assert run(training(data, tmp_path)) == 130
-    assert read_step(tmp_path / "decoders.safetensors") == 1
+    assert read_numbers(tmp_path / "decoders.safetensors")["step"] == 1
     monkeypatch.setattr(CropStage, "loss", loss)
     assert run(training(data, tmp_path)) == 0
     assert (tmp_path / "weights.safetensors").read_bytes() == weights.read_bytes()

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import cv2
 import numpy as np
 import pytest
+import torch
 from two_view_pose.pose_estimator import cut_and_paste
 from two_view_pose.pose_estimator.augmentation import AugmentationConfig, erase_box
 from two_view_pose.pose_estimator.crops import STORED_SIDE, CropPack
 from two_view_pose.pose_estimator.cut_and_paste import CropPaster, CutAndPasteConfig, blend
 from two_view_pose.pose_estimator.dataset import TrainingSet
 from two_view_pose.pose_estimator.features import FeatureConfig
-from two_view_pose.pose_estimator.loader import batches
+from two_view_pose.pose_estimator.loader import NumberedBatches
+from two_view_pose.pose_estimator.stages import draw_crop
 
 COLOURS = np.array([(230, 20, 20), (20, 230, 20), (20, 20, 230)], np.uint8)
 GROUND = np.array([(60, 60, 60), (200, 200, 60), (60, 200, 200)], np.uint8)
@@ -267,17 +271,15 @@ def test_the_mask_of_a_sample_is_where_its_colour_is(pack, boxes):
 
 
 def test_batch_n_is_the_same_whatever_came_before(pack, boxes):
-    def draw(start: int, number: int) -> list:
+    def draw(*numbers: int) -> dict:
         training = TrainingSet(
             pack, boxes, FeatureConfig(), cut_and_paste=CutAndPasteConfig(occlude=0.8)
         )
-        source = batches(training.draw_target, 3, seed=5, start=start)
-        chosen = [next(source) for _ in range(number + 1)][-1]
-        source.close()  # type: ignore[attr-defined]
-        return chosen
+        batches = NumberedBatches(partial(draw_crop, training), 3, seed=5)
+        return [batches[number] for number in numbers][-1]
 
-    for a, b in zip(draw(0, 3), draw(3, 0), strict=True):
-        assert np.array_equal(a.crop, b.crop) and np.array_equal(a.mask, b.mask)
+    later, alone = draw(0, 1, 2, 3), draw(3)
+    assert all(torch.equal(later[name], alone[name]) for name in later)
 
 
 def test_an_erased_box_is_neither_seen_nor_known():

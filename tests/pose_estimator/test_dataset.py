@@ -1,6 +1,10 @@
 """Training samples: labels, pictures and cameras agree after every augmentation."""
 
+import contextlib
+import multiprocessing
+import pickle
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -17,10 +21,11 @@ from two_view_pose.pose_estimator.dataset import SamplingConfig, TrainingSet
 from two_view_pose.pose_estimator.detector import DetectorConfig, decode
 from two_view_pose.pose_estimator.features import FeatureConfig, Features2D
 from two_view_pose.pose_estimator.geometry import grid_matrix, project, transform
-from two_view_pose.pose_estimator.inference import vote
-from two_view_pose.pose_estimator.loader import batches
+from two_view_pose.pose_estimator.loader import NumberedBatches, collate, load
+from two_view_pose.pose_estimator.stages import draw_crop
 from two_view_pose.pose_estimator.symmetry import canonical_pose
-from two_view_pose.pose_estimator.target_sample import TargetSample, stack_targets
+from two_view_pose.pose_estimator.target_sample import TargetSample, arrays_of
+from two_view_pose.pose_estimator.voting import vote
 
 CONFIG = FeatureConfig()
 PLAIN = AugmentationConfig(noise=0, blur=0, brightness=0, contrast=0, white_balance=0)
@@ -59,7 +64,7 @@ def test_the_pose_falls_on_the_mask_and_on_the_picture(pack, boxes, augmented):
 def test_directions_vote_for_the_keypoints_of_the_pose(training, boxes):
     rng = np.random.default_rng(1)
     samples = [training.draw_target(rng) for _ in range(6)]
-    tensors = stack_targets(samples)
+    tensors = collate([arrays_of(sample) for sample in samples])
     mean, _, score = vote(
         Features2D(10 * (2 * tensors["mask"] - 1), tensors["directions"], *torch.zeros(2))
     )
@@ -132,17 +137,54 @@ def test_held_out_scenes_are_not_trained(pack, boxes):
     assert len(train.targets) + len(held_out.targets) == len(pack.object_index)
 
 
-def test_batch_n_is_the_same_whatever_came_before(training):
-    def draw(start: int, number: int) -> list[TargetSample]:
-        source = batches(training.draw_target, 3, seed=5, start=start)
-        chosen = [next(source) for _ in range(number + 1)][-1]
-        source.close()  # type: ignore[attr-defined]
-        return chosen
+def test_batch_n_is_the_same_whatever_came_before_and_whoever_draws_it(training):
+    batches = NumberedBatches(partial(draw_crop, training), 3, seed=5)
 
-    for a, b in zip(draw(0, 4), draw(4, 0), strict=True):
-        assert a.object_index == b.object_index
-        assert np.array_equal(a.crop, b.crop) and np.array_equal(a.mask, b.mask)
-        assert np.array_equal(a.directions, b.directions) and np.array_equal(a.K, b.K)
+    def drawn(numbers: range, workers: int) -> list[dict[str, torch.Tensor]]:
+        return list(load(batches, numbers, workers, torch.device("cpu")))
+
+    whole, rest = drawn(range(6), 0), drawn(range(2, 6), 2)
+    assert set(whole[0]) >= {"crop", "object", "K"} and whole[0]["crop"].shape == (3, 128, 128, 3)
+    for a, b in zip(whole[2:], rest, strict=True):
+        assert all(torch.equal(a[name], b[name]) for name in a)
+    assert not torch.equal(whole[0]["crop"], whole[1]["crop"])
+    torch.rand(3)  # what others draw does not matter
+    assert torch.equal(drawn(range(1), 0)[0]["K"], whole[0]["K"])
+
+
+def test_no_worker_outlives_its_batches(training):
+    before = set(multiprocessing.active_children())
+    source = load(
+        NumberedBatches(partial(draw_crop, training), 1, seed=5), range(99), 2, torch.device("cpu")
+    )
+    next(source)
+    workers = set(multiprocessing.active_children()) - before
+    assert len(workers) == 2
+    with pytest.raises(KeyboardInterrupt), contextlib.closing(source):
+        raise KeyboardInterrupt
+    assert not any(worker.is_alive() for worker in workers)
+
+
+def test_a_worker_has_one_thread(training):
+    threads = NumberedBatches(_threads, 1, seed=0)
+    (batch,) = load(threads, range(1), 1, torch.device("cpu"))
+    assert batch["torch"].tolist() == [1] and batch["opencv"].tolist() == [1]
+
+
+def _threads(rng: np.random.Generator) -> dict[str, int]:
+    return {"torch": torch.get_num_threads(), "opencv": cv2.getNumThreads()}
+
+
+def test_what_a_worker_is_sent_holds_no_pictures(training, pack):
+    # Where workers are not forked, the dataset is pickled: as the names of its files.
+    batches = NumberedBatches(partial(draw_crop, training), 2, seed=5)
+    sent = pickle.dumps(batches)
+    assert bytes(pack.crops[:1000]) not in sent and bytes(pack.frames[:1000]) not in sent
+    again, first = (
+        pickle.loads(sent)[0],
+        NumberedBatches(partial(draw_crop, training), 2, seed=5)[0],
+    )
+    assert all(torch.equal(again[name], first[name]) for name in first)
 
 
 def test_frames_of_the_detector_have_their_targets_on_the_objects(training, boxes):

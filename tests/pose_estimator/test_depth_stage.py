@@ -29,6 +29,9 @@ SIDE = 128
 class Pairs:
     """Stands in for a TrainingSet: pairs of views of a box that hangs before nothing."""
 
+    targets = (0,)
+    pack = SimpleNamespace(depth=lambda target: True)
+
     def __init__(self, boxes):
         self.models = list(boxes.values())
 
@@ -116,7 +119,7 @@ def test_the_loss_by_hand():
 
 
 def test_only_the_cascade_is_trained_and_a_step_lowers_the_loss(stage: CascadeStage):
-    batch = [stage.train.draw_pair(np.random.default_rng(k)) for k in range(2)]
+    batch = next(stage.batches(0))
     before = {n: t.clone() for n, t in stage.module.state_dict().items()}
     optimizer = torch.optim.SGD(stage.module.parameters(), 0.001)
     losses = []

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,8 +11,9 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 from two_view_pose.pose_estimator import trainer
+from two_view_pose.pose_estimator.checkpoints import read_numbers
 from two_view_pose.pose_estimator.optimizer import HybridOptimizer
-from two_view_pose.pose_estimator.trainer import LoopConfig, learning_rate, read_step, run_stage
+from two_view_pose.pose_estimator.trainer import LoopConfig, learning_rate, run_stage
 
 
 class LineStage:
@@ -61,13 +63,27 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path: Path):
     out = tmp_path / "killed"
     with pytest.raises(KeyboardInterrupt):
         run_stage(LineStage(20, fail_at=6), LoopConfig(out, checkpoint_every=-1.0), silent)
-    assert read_step(out / "line.safetensors") == 6
+    assert read_numbers(out / "line.safetensors")["step"] == 6
     resumed = LineStage(20)
     run_stage(resumed, LoopConfig(out), silent)
     assert resumed.drawn[0] == 6
     for name, tensor in whole.module.state_dict().items():
         assert torch.equal(tensor, resumed.module.state_dict()[name]), name
     assert [path.name for path in out.iterdir()] == ["line.safetensors"]
+
+
+@pytest.mark.parametrize("part_mib", [0, 0.004])
+def test_a_run_out_of_time_continues_to_the_same_bits(tmp_path: Path, part_mib):
+    whole, late, resumed = (LineStage(20) for _ in range(3))
+    assert run_stage(whole, LoopConfig(tmp_path / "whole"), silent) == 20
+    out = tmp_path / "late"
+    config = LoopConfig(out, deadline=time.monotonic() - 1, max_part_mib=part_mib)
+    assert run_stage(late, config, silent) == 1
+    assert (len(list(out.iterdir())) > 2) == (part_mib > 0)
+    config = LoopConfig(out, deadline=time.monotonic() + 3600, max_part_mib=part_mib)
+    assert run_stage(resumed, config, silent) == 20 and resumed.drawn[0] == 1
+    for name, tensor in whole.module.state_dict().items():
+        assert torch.equal(tensor, resumed.module.state_dict()[name]), name
 
 
 def test_a_finished_stage_is_restored_and_not_trained_again(tmp_path: Path):
@@ -108,7 +124,7 @@ def test_nonsense_stops_the_run_before_it_is_saved(tmp_path: Path):
     stage.loss = bad  # type: ignore[method-assign]
     with pytest.raises(FloatingPointError, match="line: the loss is nan at step 3"):
         run_stage(stage, config, silent)
-    assert read_step(tmp_path / "line.safetensors") == 3
+    assert read_numbers(tmp_path / "line.safetensors")["step"] == 3
     tensors = load_file(tmp_path / "line.safetensors")
     assert all(torch.isfinite(t).all() for t in tensors.values())
 

@@ -4,6 +4,7 @@ import copy
 import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import torch
 from boxes_with_depth import box_depth
 from safetensors.torch import load_file
 from two_view_pose import assets, pose_estimator
-from two_view_pose.pose_estimator import crops, trainer, training_config
+from two_view_pose.pose_estimator import crops, optimizer, trainer, training, training_config
 from two_view_pose.pose_estimator.bop import read_dataset, read_mask, read_rgb
 from two_view_pose.pose_estimator.bop_writer import BopFrame, write_scene
 from two_view_pose.pose_estimator.crops import CropPack
@@ -20,8 +21,9 @@ from two_view_pose.pose_estimator.depth_stage import CascadeStage
 from two_view_pose.pose_estimator.networks import PoseNetworks
 from two_view_pose.pose_estimator.point_stage import PointStage
 from two_view_pose.pose_estimator.stages import DecoderStage, DetectorStage, FeatureStage
-from two_view_pose.pose_estimator.training import _describe_data, train_estimator
+from two_view_pose.pose_estimator.training import train_estimator
 from two_view_pose.pose_estimator.training_config import TrainEstimatorConfig
+from two_view_pose.pose_estimator.training_record import describe_data
 from two_view_pose.pose_estimator.volume_stage import VolumeStage
 from two_view_pose.pose_estimator.weights import read_header, save_weights
 
@@ -44,7 +46,8 @@ def test_all_stages_end_in_weights_that_load(
         monkeypatch.setattr(stage, "validate", lambda self: {"figure": 0.5})
     config = TrainEstimatorConfig(
         data=dataset, out=tmp_path / "out", detector_steps=1, feature_steps=1, decoder_steps=1,
-        volume_steps=1, pretrained=False, validation=0.3, threads=1, json=tmp_path / "figures.json",
+        volume_steps=1, pretrained=False, validation=0.3, threads=1, workers=0,
+        json=tmp_path / "figures.json",
     )  # fmt: skip
     path = train_estimator(config)
     assert path == tmp_path / "out" / "weights.safetensors"
@@ -58,6 +61,49 @@ def test_all_stages_end_in_weights_that_load(
     assert header["held_out"] == {f"{stage}/figure": 0.5 for stage in stages}
     train_estimator(config)  # finished: nothing is trained again
     assert path.read_bytes() == again and read_header(path) == header
+
+
+def test_a_budget_ends_in_weights_and_the_same_command_goes_on(
+    dataset: Path, pack: CropPack, boxes, tmp_path: Path, monkeypatch, capsys
+):
+    monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
+    for name, stage in (("detector", DetectorStage), ("features", FeatureStage)):
+        monkeypatch.setitem(training_config._STAGES, name, (2, 1e-3))
+        monkeypatch.setattr(stage, "validate", lambda self: {"figure": 0.5})
+    monkeypatch.setattr(optimizer, "_LEAST_SIDE", 10**9)  # AdamW alone, which is quicker
+    minutes = 0.0
+    clock = SimpleNamespace(monotonic=lambda: 60 * minutes)
+    for module in (training, trainer):
+        monkeypatch.setattr(module, "time", clock)
+    loss = DetectorStage.loss
+
+    def a_minute(self, batch: dict) -> tuple:
+        nonlocal minutes
+        minutes += 1
+        return loss(self, batch)
+
+    monkeypatch.setattr(DetectorStage, "loss", a_minute)
+
+    def run(out: str, **options) -> Path:
+        return train_estimator(
+            TrainEstimatorConfig(
+                data=dataset, out=tmp_path / out, stages=("detector", "features"), threads=1,
+                detector_steps=2, feature_steps=1, pretrained=False, validation=0.3, workers=0,
+                device="cpu", **options,
+            )
+        )  # fmt: skip
+
+    path = run("budget", max_minutes=0.5)
+    header = read_header(path)
+    assert header["training"]["steps"] == {"detector": 1} and header["trained"] == ["detector"]
+    printed = capsys.readouterr().out
+    assert "stopped after 0.5 minutes; the same command goes on with detector (1 of 2" in printed
+    assert "features (0 of 1 steps)" in printed and "on cpu in" in printed
+    run("budget", max_minutes=1.5)
+    assert read_header(path)["training"]["steps"] == {"detector": 2, "features": 1}
+    assert "stopped" not in capsys.readouterr().out
+    whole = load_file(run("whole"))
+    assert all(torch.equal(tensor, whole[name]) for name, tensor in load_file(path).items())
 
 
 @pytest.fixture
@@ -101,7 +147,7 @@ def test_a_part_is_added_to_finished_weights(
     save_weights(finished, first, {"what": "three parts", "trained_on": "boxes"})
     config = TrainEstimatorConfig(
         data=dataset_with_depth, out=tmp_path / "out", stages=(part,), init=str(first),
-        cascade_steps=1, points_steps=1, validation=0.3, threads=1,
+        cascade_steps=1, points_steps=1, validation=0.3, threads=1, workers=0,
     )  # fmt: skip
     path = train_estimator(config)
     header = read_header(path)
@@ -121,13 +167,13 @@ def test_new_features_make_the_cascade_on_the_old_ones_useless(
     dataset_with_depth: Path, boxes, networks: PoseNetworks, tmp_path: Path, monkeypatch
 ):
     monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
-    monkeypatch.setattr(trainer, "run_stage", lambda stage, loop, log: None)
+    monkeypatch.setattr(trainer, "run_stage", lambda stage, loop, log: 1)
     finished = copy.copy(networks)
     finished.trained = frozenset({"detector", "features", "cascade"})
     save_weights(finished, tmp_path / "first.safetensors", {})
     config = TrainEstimatorConfig(
         data=dataset_with_depth, out=tmp_path / "out", stages=("features",), feature_steps=1,
-        init=str(tmp_path / "first.safetensors"), validation=0.3, threads=1,
+        init=str(tmp_path / "first.safetensors"), validation=0.3, threads=1, workers=0,
     )  # fmt: skip
     assert read_header(train_estimator(config))["trained"] == ["detector", "features"]
 
@@ -137,7 +183,7 @@ def test_the_header_says_how_the_data_was_made(tmp_path: Path):
     from two_view_pose.envs.generate import GenerateConfig
 
     claim_folder(GenerateConfig(out=tmp_path / "mine", scenes=3, seed=9), ("duck",))
-    said = _describe_data(tmp_path / "mine")
+    said = describe_data(tmp_path / "mine")
     assert said["dataset"] == "mine" and said["generate"]["scenes"] == 3
     assert said["generate"]["settings"]["seed"] == 9
     assert said["generate"]["settings"]["objects"] == ["duck"]
@@ -154,10 +200,10 @@ def test_the_volume_stage_sees_one_pose_in_both_views(
     projection = torch.tensor([[114.0, 0, 16, 0], [0, 114, 16, 0], [0, 0, 1, 0]])
     projection = projection.expand(1, 2, 3, 4)
     pixels = truth[0, :, :2] / truth[0, :, 2:] * 114 + 16
-    other = pixels[torch.from_numpy(stage.permutations[1][1])]
+    other = pixels[stage.permutations[1, 1]]
     mean = torch.stack([other, pixels])[None].clone()
     covariance = torch.arange(9.0)[:, None, None].expand(9, 2, 2).expand(1, 2, 9, 2, 2).clone()
-    stage._agree(mean, covariance, projection, truth, torch.tensor([1]))
+    mean, covariance = stage.agree(mean, covariance, projection, truth, torch.tensor([1]))
     assert torch.allclose(mean[0, 0], pixels) and torch.allclose(mean[0, 1], pixels)
-    assert np.array_equal(covariance[0, 0, :, 0, 0].numpy(), stage.permutations[1][1])
+    assert torch.equal(covariance[0, 0, :, 0, 0], stage.permutations[1, 1].float())
     assert np.array_equal(covariance[0, 1, :, 0, 0].numpy(), np.arange(9))

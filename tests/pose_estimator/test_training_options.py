@@ -54,7 +54,8 @@ def test_a_paper_volume_is_trained_on_finished_features(
     path = train_estimator(
         TrainEstimatorConfig(
             data=dataset, out=tmp_path / "out", stages=("volume",), preset="paper", volume_steps=1,
-            init=str(finished), validation=0.3, threads=1, pose_noise=(1.0, 5.0), pose_loss=0.5,
+            init=str(finished), validation=0.3, threads=1, workers=0,
+            pose_noise=(1.0, 5.0), pose_loss=0.5,
         )
     )  # fmt: skip
     ((_, parts),) = heard
@@ -88,7 +89,8 @@ def test_options_reach_the_stage_in_metres_and_the_sets(
     monkeypatch.setattr("two_view_pose.pose_estimator.trainer.run_stage", listen)
     config = TrainEstimatorConfig(
         data=dataset, out=tmp_path / "out", stages=("volume",), init=str(finished),
-        validation=0.3, threads=1, pose_noise=(2.0, 10.0), pose_loss=0.0, cut_and_paste=0.5,
+        validation=0.3, threads=1, workers=0,
+        pose_noise=(2.0, 10.0), pose_loss=0.0, cut_and_paste=0.5,
     )  # fmt: skip
     with pytest.raises(Heard):
         train_estimator(config)
@@ -107,7 +109,7 @@ def test_a_new_volume_leaves_the_parts_that_do_not_read_it(
     save_weights(networks, tmp_path / "first.safetensors", {})
     config = TrainEstimatorConfig(
         data=dataset, out=tmp_path / "out", stages=("volume",), volume_steps=1, validation=0.3,
-        init=str(tmp_path / "first.safetensors"), threads=1,
+        init=str(tmp_path / "first.safetensors"), threads=1, workers=0,
     )  # fmt: skip
     path = train_estimator(config)
     assert read_header(path)["trained"] == ["detector", "features", "volume", "cascade", "points"]
@@ -121,12 +123,22 @@ def test_a_new_volume_leaves_the_parts_that_do_not_read_it(
         ({"pose_noise": (-1.0, 0.0)}, "pose_noise must be finite and at least 0"),
         ({"pose_noise": (0.0, float("inf"))}, "pose_noise must be finite"),
         ({"pose_loss": -0.1}, "pose_loss must be finite and at least 0, got -0.1"),
+        ({"workers": -1}, "workers must be at least 0, got -1"),
+        ({"max_minutes": float("inf")}, "max_minutes must be finite and at least 0, got inf"),
+        ({"max_part_mib": 1}, "max_part_mib must be 0, or 2 or more .* got 1"),
         ({"cut_and_paste": 1.2}, "cut_and_paste must be 0 to 1, got 1.2"),
     ],
 )
 def test_wrong_options_are_told(tmp_path: Path, options, message):
     with pytest.raises(ValueError, match=message):
         TrainEstimatorConfig(data=tmp_path, out=tmp_path, **options)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA GPU")
+def test_a_gpu_that_is_not_there_is_told_before_any_work(dataset: Path, tmp_path: Path):
+    with pytest.raises(ValueError, match=r"device 'cuda:3': .* use cpu or auto"):
+        train_estimator(TrainEstimatorConfig(data=dataset, out=tmp_path / "out", device="cuda:3"))
+    assert not (tmp_path / "out").exists()
 
 
 def test_one_scene_is_told_before_any_training(boxes, pack: CropPack):
