@@ -3,7 +3,7 @@
 Networks, optimizer moments, the temperature of SAC, the replay buffer and the counters are saved.
 Random generators are not: training restarts every one of them from (seed, steps) at each
 checkpoint (see `restart`), whether it was killed there or not. So a run that was killed and resumed
-ends with the same weights, bit for bit, as one that was not.
+ends with the same weights, bit for bit on the same machine, as one that was not.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ def compare_busy(weights: str, repeats: int, seed: int) -> Iterator[Record]:
         seed: of the scenes.
     """
     fewer = max(3, repeats // 3)
-    estimator = load("mid", weights)
+    estimator = load("mid", weights, device="cpu")
     pairs = cycle(draw_pairs(seed, PAIRS))
 
     def estimate() -> None:

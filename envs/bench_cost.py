@@ -96,7 +96,7 @@ def crop_costs(weights: str, batches: tuple[int, ...], repeats: int, seed: int) 
     from ..pose_estimator import load
     from ..pose_estimator.inference import Inference
 
-    networks = load("mid", weights).networks
+    networks = load("mid", weights, device="cpu").networks
     side = networks.features.config.crop
     rng = np.random.default_rng(seed)
     encode = Inference(networks).encode

@@ -27,7 +27,7 @@ def compare_estimates(weights: str, repeats: int, seed: int) -> Iterator[Record]
 
 def compare_pair(weights: str, repeats: int, seed: int) -> Record:
     """A pose from two pictures by Mid-Fusion against one forward pass of PVNet on one picture."""
-    estimator = load("mid", weights)
+    estimator = load("mid", weights, device="cpu")
     pairs = draw_pairs(seed, PAIRS)
     forward = forward_pass(PVNet())
     ours, theirs = [], []
@@ -46,7 +46,7 @@ def compare_pair(weights: str, repeats: int, seed: int) -> Record:
 
 def compare_step(weights: str, repeats: int, seed: int) -> Record:
     """A whole ``env.step`` against one forward pass of a ResNet-18 on a 640x480 picture."""
-    env = gym.make("TwoViewPose-v0", estimator=load("mid", weights))
+    env = gym.make("TwoViewPose-v0", estimator=load("mid", weights, device="cpu"))
     forward = forward_pass(resnet18())
     rng = np.random.default_rng(seed)
     ours, theirs = [], []

@@ -20,9 +20,9 @@ def compare_vector(weights: str, repeats: int, seed: int) -> list[Record]:
     """A step of eight lanes with ``mid``, which begins their next episodes, against single ones."""
     from ..pose_estimator import load
 
-    estimator = load("mid", weights)
+    estimator = load("mid", weights, device="cpu")
     lanes = gym.make_vec("TwoViewPose-v0", num_envs=LANES, estimator=estimator)
-    single = gym.make("TwoViewPose-v0", estimator=load("mid", weights))
+    single = gym.make("TwoViewPose-v0", estimator=load("mid", weights, device="cpu"))
     try:
         return [compare(lanes, single, repeats, seed)]
     finally:
