@@ -6,6 +6,7 @@ are marked ``cuda`` run the trainings on one.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -52,7 +53,7 @@ class DeepPairs(Pairs):
 
 
 @pytest.fixture
-def make_stage(pack: CropPack, boxes, monkeypatch):
+def prepare_stage(pack: CropPack, boxes, monkeypatch):
     # The paper's but for the number of voxels.
     small = replace(
         PRESETS["paper"],
@@ -61,7 +62,7 @@ def make_stage(pack: CropPack, boxes, monkeypatch):
     )
     monkeypatch.setitem(PRESETS, "paper", small)
 
-    def make(name: str, device: str) -> StageBase:
+    def prepare(name: str, device: str) -> Callable[[], StageBase]:
         torch.manual_seed(0)
         preset = "paper" if name == "paper volume" else "fast"
         networks = PoseNetworks(boxes, NetworkConfig(preset=preset))
@@ -71,22 +72,27 @@ def make_stage(pack: CropPack, boxes, monkeypatch):
         if name in ("cascade", "points"):
             source = DeepPairs(boxes)
         extra = {"pose_noise": (2.0, 0.01)} if "volume" in name else {}
-        stage = STAGES[name](
-            networks.to(device), source, source, steps=1, batch=2, learning_rate=1e-3, seed=0,
-            **extra,
-        )  # fmt: skip
-        stage.validation = (1, 2)
-        return stage
+        networks.to(device)
 
-    return make
+        def make() -> StageBase:
+            stage = STAGES[name](
+                networks, source, source, steps=1, batch=2, learning_rate=1e-3, seed=0, **extra
+            )
+            stage.validation = (1, 2)
+            return stage
+
+        return make
+
+    return prepare
 
 
 @pytest.mark.parametrize("name", STAGES)
-def test_a_training_makes_its_tensors_where_its_networks_are(make_stage, name: str):
+def test_a_training_makes_its_tensors_where_its_networks_are(prepare_stage, name: str):
+    make = prepare_stage(name, "cpu")
     with strict_host():
+        stage = make()
+        stage.bfloat16 = False
         with torch.device("cpu"):
-            stage = make_stage(name, "cpu")
-            stage.bfloat16 = False
             batch = next(stage.batches(0))
         loss, parts = stage.loss(batch)
         loss.backward()
@@ -152,8 +158,8 @@ def test_what_a_gpu_would_refuse_is_refused(wrong):
 @pytest.mark.cuda
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA GPU")
 @pytest.mark.parametrize("name", STAGES)
-def test_a_step_on_a_gpu(make_stage, name: str):
-    stage = make_stage(name, "cuda")
+def test_a_step_on_a_gpu(prepare_stage, name: str):
+    stage = prepare_stage(name, "cuda")()
     stage.bfloat16 = torch.cuda.is_bf16_supported()
     optimizer = HybridOptimizer(stage.module, 1e-3, 1e-4)
     before = {n: p.detach().clone() for n, p in stage.module.named_parameters()}

@@ -3,7 +3,8 @@
 import pytest
 import torch
 from torch import nn
-from two_view_pose.pose_estimator.optimizer import HybridOptimizer
+from two_view_pose.pose_estimator import optimizer
+from two_view_pose.pose_estimator.optimizer import Float32Muon, HybridOptimizer
 
 
 def network(memory_format: torch.memory_format) -> nn.Sequential:
@@ -20,6 +21,11 @@ def train(net: nn.Module, optimizer: HybridOptimizer, first: int, last: int) -> 
         optimizer.zero_grad()
         (net(x) - x[:, :2, 1:-1, 1:-1]).square().mean().backward()
         optimizer.step(0.02)
+
+
+@pytest.fixture(params=[False, True], autouse=True)
+def _on_either_kind_of_processor(request, monkeypatch) -> None:
+    monkeypatch.setattr(optimizer, "uses_bfloat16", lambda device: request.param)
 
 
 @pytest.mark.parametrize("memory_format", [torch.contiguous_format, torch.channels_last])
@@ -58,3 +64,19 @@ def test_frozen_parameters_stay_and_state_goes_on():
     for a, b in zip(whole.parameters(), resumed.parameters(), strict=True):
         assert torch.equal(a, b)
     assert torch.equal(whole[3].bias, network(torch.channels_last)[3].bias)
+
+
+@pytest.mark.parametrize("shape", [(24, 144), (144, 24), (16, 16)])
+def test_muon_in_float32_does_as_pytorchs(shape):
+    torch.manual_seed(1)
+    start = torch.randn(shape)
+    ends = []
+    for kind in (torch.optim.Muon, Float32Muon):
+        generator = torch.Generator().manual_seed(2)
+        matrix = nn.Parameter(start.clone())
+        optimizer = kind([matrix], 0.02, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
+        for _ in range(4):
+            matrix.grad = torch.randn(shape, generator=generator)
+            optimizer.step()
+        ends.append(matrix.detach() - start)
+    assert (ends[0] - ends[1]).norm() < 0.03 * ends[0].norm()  # bfloat16's rounding
