@@ -6,13 +6,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from ..pose_estimator.batching import estimate_all
+from ..pose_estimator.batching import batch_size, estimate_all
 from .base import ViewSelectionEnv
 from .episode import Episode
 from .observation import Observation
-
-_PEEKED_TOGETHER = 8
-"""Second views that are estimated together; more are no quicker."""
 
 
 class PeekingEnv(ViewSelectionEnv):
@@ -40,8 +37,9 @@ class PeekingEnv(ViewSelectionEnv):
         """
         with self._as_it_is() as before:
             answers = []
-            for start in range(0, len(actions), _PEEKED_TOGETHER):
-                ways = [before.copy() for _ in actions[start : start + _PEEKED_TOGETHER]]
+            size = batch_size(self._estimator)
+            for start in range(0, len(actions), size):
+                ways = [before.copy() for _ in actions[start : start + size]]
                 for way, action in zip(ways, actions[start:], strict=False):
                     self._episode = way
                     self._carrier.place(before.cameras[-1])

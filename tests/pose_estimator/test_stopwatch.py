@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from two_view_pose.pose_estimator import stopwatch
@@ -63,6 +64,12 @@ def test_a_process_that_is_interrupted_ends_its_own():
         text=True,
     )
     run.stdout.readline()
+    children = Path(f"/proc/{run.pid}/task/{run.pid}/children")
+    deadline = time.monotonic() + 60
+    # Its own is the last of two: the first keeps count of what processes share.
+    while children.is_file() and len(children.read_text().split()) < 2:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
     time.sleep(1.0)
     run.send_signal(signal.SIGINT)
     _, errors = run.communicate(timeout=30)  # which ends when all that share its pipes have
