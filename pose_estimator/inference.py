@@ -1,21 +1,23 @@
 """The networks as estimators run them: lists in, lists out.
 
 On a processor every item of a list (a frame, a few crops of a view, a volume) is a batch of its
-own, which one thread takes through the whole network (``thread_pools.py``). Several items keep all
-cores busy; one alone gets the cores that are idle. Another batch size would round in another order:
-this way an answer is the same to the bit whatever else is in the list. On a GPU a list is one
-batch, and answers depend on it as far as rounding goes.
+own, which one thread takes through the whole network on one core (``thread_pools.py``); one that is
+alone may have more, where the result is the same. Other batches and other numbers of threads would
+round in another order: this way an answer is the same to the bit whatever else is in the list and
+whatever else the machine does. On a GPU a list is one batch, and answers depend on it as far as
+rounding goes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from itertools import islice
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.utils._pytree import tree_leaves
 
 from .cores import available_cores, idle_cores
 from .device import uses_bfloat16
@@ -28,9 +30,6 @@ from .voting import vote
 _CROPS = 3
 """Crops of a view that a core takes at once: with fewer it is slower for each, with more hardly
 quicker, and other cores have nothing to do."""
-
-_CORES = 8
-"""Cores at most for an item that is alone; with more, answers were not the same to the bit."""
 
 _GPU_ITEMS = 64
 """Items of a batch on a GPU: enough to fill it, and a bound on its memory."""
@@ -76,6 +75,7 @@ class Inference:
         self.bfloat16 = uses_bfloat16(self.device)
         self.threads = threads or available_cores()
         self._quick: dict[str, tuple[nn.Module, nn.Module]] = {}
+        self._same_on: dict[tuple[Hashable, int], bool] = {}
 
     def detect(self, frames: Sequence[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Where might objects be?
@@ -95,7 +95,7 @@ class Inference:
             )
             return list(zip(logits, regression, strict=True))
 
-        return self.in_batches(detect, frames)
+        return self.in_batches(detect, frames, kind="frame")
 
     def encode(self, crops: Sequence[tuple[np.ndarray, int]]) -> list[list[EncodedCrop]]:
         """What do crops show of objects?
@@ -135,7 +135,8 @@ class Inference:
             )
             return [list(islice(found, len(own))) for own, _ in crops]
 
-        encoded = (crop for part in self.in_batches(encode, parts) for crop in part)
+        kind = ("crops", len(parts[0][0])) if len(parts) == 1 else None
+        encoded = (crop for part in self.in_batches(encode, parts, kind=kind) for crop in part)
         return [list(islice(encoded, len(own))) for own, _ in crops]
 
     def fuse(
@@ -176,6 +177,7 @@ class Inference:
         work: Callable[[Sequence[_Item]], list[_Answer]],
         items: Sequence[_Item],
         key: Callable[[_Item], Any] = lambda item: 0,
+        kind: Hashable = None,
     ) -> list[_Answer]:
         """Runs networks on a list, under autocast: item by item on a processor, else in batches.
 
@@ -183,6 +185,8 @@ class Inference:
             work: answers a batch.
             items: the list.
             key: items of one batch have the same.
+            kind: what an item is that several cores may share if it is alone: what it runs, on
+                which shape; None: none may.
 
         Returns:
             The answers in the list's order.
@@ -194,10 +198,13 @@ class Inference:
                 return work(batch)
 
         if self.device.type == "cpu":
-            if len(items) == 1 and self._has_cores():
-                return run(items)
-            each = shared_pool(self.threads).map(run, [[item] for item in items])
-            return [answer for [answer] in each]
+
+            def run_one(item: _Item) -> _Answer:
+                return run([item])[0]
+
+            if len(items) == 1 and kind is not None:
+                return [self._on_idle_cores(run_one, items[0], kind)]
+            return list(shared_pool(self.threads).map(run_one, items))
         groups: dict[Any, list[int]] = {}
         for number, item in enumerate(items):
             groups.setdefault(key(item), []).append(number)
@@ -208,10 +215,22 @@ class Inference:
                 answers |= zip(some, run([items[n] for n in some]), strict=True)
         return [answers[n] for n in range(len(items))]
 
-    def _has_cores(self) -> bool:
-        """Whether torch, as this thread has it, may share one item's work among idle cores."""
+    def _on_idle_cores(
+        self, run: Callable[[_Item], _Answer], item: _Item, kind: Hashable
+    ) -> _Answer:
+        """One item on all cores that torch has in this thread, if that rounds as on one core does.
+
+        Whether it does, the first item of a kind shows, which is computed both ways.
+        """
         cores = torch.get_num_threads()
-        return 1 < cores <= min(self.threads, _CORES) and cores <= idle_cores()
+        pool = shared_pool(self.threads)
+        if not 1 < cores <= min(self.threads, idle_cores()):
+            return pool.submit(run, item).result()
+        if (kind, cores) not in self._same_on:
+            on_one = pool.submit(run, item).result()
+            self._same_on[kind, cores] = _identical(on_one, run(item))
+            return on_one
+        return run(item) if self._same_on[kind, cores] else pool.submit(run, item).result()
 
     def tensor(self, array: np.ndarray) -> Tensor:
         """An array as float32 on the networks' device."""
@@ -232,6 +251,12 @@ class Inference:
         """Images (H, W, 3) uint8 as a batch (B, 3, H, W) float32, channels last."""
         batch = torch.from_numpy(np.stack(images)).to(self.device).permute(0, 3, 1, 2)
         return batch.float().contiguous(memory_format=torch.channels_last)
+
+
+def _identical(one: Any, other: Any) -> bool:
+    """Whether two answers are the same to the bit."""
+    pairs = zip(tree_leaves(one), tree_leaves(other), strict=True)
+    return all(np.array_equal(np.asarray(a), np.asarray(b)) for a, b in pairs)
 
 
 def as_array(tensor: Tensor) -> np.ndarray:

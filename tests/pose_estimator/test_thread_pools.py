@@ -3,14 +3,15 @@
 import os
 import subprocess
 import sys
+import threading
 import time
 
+import numpy as np
 import pytest
 import torch
 from two_view_pose.pose_estimator import inference as inference_module
 from two_view_pose.pose_estimator.cores import available_cores, idle_cores
 from two_view_pose.pose_estimator.inference import Inference
-from two_view_pose.pose_estimator.networks import PoseNetworks
 from two_view_pose.pose_estimator.thread_pools import shared_pool, single_core_threads
 
 
@@ -51,23 +52,29 @@ def test_busy_processes_leave_fewer_idle_cores():
     assert 1 <= idle_cores() <= available_cores()
 
 
-def test_one_item_takes_idle_cores_and_no_others(networks: PoseNetworks, monkeypatch):
-    """Alone it runs in the caller's thread; beside other work, or with others, in single ones."""
+@pytest.mark.parametrize("same", [True, False])
+def test_cores_share_what_is_alone_only_if_that_rounds_alike(networks, monkeypatch, same):
+    """An item is computed in the caller's thread, on all its cores, or in one of the pool's."""
     inference = Inference(networks, threads=2)
+    callers = threading.get_ident()
     monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
-    used = []
+    places: list[str] = []
 
-    class Pool:
-        @staticmethod
-        def map(work, items):
-            used.append(len(items))
-            return map(work, items)
+    def work(items):
+        here = threading.get_ident() == callers
+        places.append("all cores" if here else "one core")
+        return [np.ones(3) + (0 if same else 1e-16 + 1e-9 * here) for _ in items]
 
-    monkeypatch.setattr(inference_module, "shared_pool", lambda threads: Pool)
-    for idle, items, expected in ((2, "a", []), (1, "a", [1]), (2, "ab", [2])):
-        used.clear()
-        monkeypatch.setattr(inference_module, "idle_cores", lambda idle=idle: idle)
-        assert inference.in_batches(lambda batch: [x.upper() for x in batch], items) == [
-            x.upper() for x in items
-        ]
-        assert used == expected
+    def asked(items: str, idle: int, kind: str | None) -> list[str]:
+        monkeypatch.setattr(inference_module, "idle_cores", lambda: idle)
+        places.clear()
+        answers = inference.in_batches(work, items, kind=kind)
+        assert len(answers) == len(items)
+        assert all(np.array_equal(a, answers[0]) for a in answers)
+        return places
+
+    assert asked("a", 2, "frame") == ["one core", "all cores"]  # the first time: both ways
+    assert asked("a", 2, "frame") == ["all cores" if same else "one core"]
+    assert asked("a", 1, "frame") == ["one core"]  # the machine is busy
+    assert asked("ab", 2, "frame") == ["one core"] * 2
+    assert asked("a", 2, None) == ["one core"]
