@@ -9,6 +9,10 @@ from .estimate import PoseEstimate, Roi
 from .geometry import View
 
 
+_BATCH = 8
+"""Requests for an estimator that answers batches and does not say how large."""
+
+
 def estimate_all(
     estimator: Any,
     requests: Sequence[tuple[Sequence[View], str]],
@@ -33,5 +37,7 @@ def estimate_all(
 
 
 def batch_size(estimator: Any) -> int:
-    """How many requests an estimator wants at once; 1 of one that does not say."""
-    return int(getattr(estimator, "batch_size", 1))
+    """How many requests an estimator wants at once: as many as it says, else 8, or 1 by 1."""
+    return int(
+        getattr(estimator, "batch_size", _BATCH if hasattr(estimator, "estimate_batch") else 1)
+    )

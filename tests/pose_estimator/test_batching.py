@@ -14,8 +14,6 @@ class OneByOne:
 
 
 class Together(OneByOne):
-    batch_size = 5
-
     def estimate_batch(self, requests, *rois) -> list[PoseEstimate]:
         return ["together", requests, *rois]  # type: ignore[list-item]
 
@@ -30,4 +28,7 @@ def test_who_answers_no_batches_is_asked_one_by_one():
 def test_who_answers_batches_is_asked_once():
     assert estimate_all(Together(), REQUESTS) == ["together", REQUESTS]
     assert estimate_all(Together(), REQUESTS, ROIS) == ["together", REQUESTS, ROIS]
-    assert batch_size(Together()) == 5
+    assert batch_size(Together()) == 8
+    told = Together()
+    told.batch_size = 5  # type: ignore[attr-defined]
+    assert batch_size(told) == 5
