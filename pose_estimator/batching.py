@@ -8,7 +8,6 @@ from typing import Any
 from .estimate import PoseEstimate, Roi
 from .geometry import View
 
-
 _BATCH = 8
 """Requests for an estimator that answers batches and does not say how large."""
 
