@@ -256,7 +256,8 @@ class Inference:
 def _identical(one: Any, other: Any) -> bool:
     """Whether two answers are the same to the bit."""
     pairs = zip(tree_leaves(one), tree_leaves(other), strict=True)
-    return all(np.array_equal(np.asarray(a), np.asarray(b)) for a, b in pairs)
+    # NumPy has no bfloat16.
+    return all(torch.equal(torch.as_tensor(a), torch.as_tensor(b)) for a, b in pairs)
 
 
 def as_array(tensor: Tensor) -> np.ndarray:

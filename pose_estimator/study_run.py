@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, field
 
 from . import load, study_fingerprint
 from .bop_pairs import PAIRS_FILE
-from .device import resolve_device
 from .networks import PoseNetworks
 from .results import commit
 from .study import Estimator, StudySet, run_unit
@@ -45,7 +44,6 @@ class Study:
             ValueError: if no method can be run.
             FileNotFoundError: if there are no such weights.
         """
-        resolve_device(self.config.device)  # else each method would be missing for want of it
         estimators = self.load_all()
         usual = {m: e for (m, training), e in estimators.items() if training == TRAINED}
         if not usual:
