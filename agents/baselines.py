@@ -1,6 +1,6 @@
 """Policies that learn nothing: what a trained one has to beat.
 
-A policy has ``name``, ``reset(rng)`` (once an episode, after the environment's own reset) and
+A policy has ``reset(rng)`` (once an episode, after the environment's own reset) and
 ``act(observation)``. ``fixed`` and ``max-baseline`` ask the environment where an action would send
 the camera; they know the estimated object and the robot's own camera pose, no ground truth.
 """
@@ -40,36 +40,41 @@ ABOVE_ELEVATION = math.radians(70.0)
 class Policy(Protocol):
     """Whatever chooses the second view."""
 
-    name: str
-
     def reset(self, rng: np.random.Generator) -> None:
-        """Begins an episode; what the policy draws, it draws from ``rng``."""
-        ...
+        """Begins an episode; what the policy draws, it draws from ``rng``. Most draw nothing."""
+        return
 
     def act(self, observation: Mapping[str, np.ndarray]) -> Action | None:
         """Chooses an action of the environment's action space; None: no (further) view."""
         ...
 
 
-class StayPolicy:
-    """No second view: what the first one alone gives."""
+class ViewSpherePolicy(Policy):
+    """A policy that asks the environment about the views around the estimated object.
 
-    name = "stay"
+    Args:
+        env: an environment with a view sphere.
+
+    Raises:
+        ValueError: if it has none.
+    """
+
+    def __init__(self, env: gym.Env) -> None:
+        self._env = check_view_sphere(env)
+
+
+class StayPolicy(Policy):
+    """No second view: what the first one alone gives."""
 
     def __init__(self, env: gym.Env) -> None:
         pass
-
-    def reset(self, rng: np.random.Generator) -> None:
-        """Nothing to do: the policy draws nothing."""
 
     def act(self, observation: Mapping[str, np.ndarray]) -> None:
         """No view."""
 
 
-class RandomPolicy:
+class RandomPolicy(Policy):
     """Every view is as likely as every other."""
-
-    name = "random"
 
     def __init__(self, env: gym.Env) -> None:
         self._space = check_space(env.action_space)
@@ -89,16 +94,8 @@ class RandomPolicy:
         return self._rng.uniform(low, high).astype(self._space.dtype)
 
 
-class FixedPolicy:
+class FixedPolicy(ViewSpherePolicy):
     """30 degrees to the side at the same elevation and distance, or the candidate nearest to it."""
-
-    name = "fixed"
-
-    def __init__(self, env: gym.Env) -> None:
-        self._env = check_view_sphere(env)
-
-    def reset(self, rng: np.random.Generator) -> None:
-        """Nothing to do: the policy draws nothing."""
 
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
         """The same motion whatever the observation."""
@@ -115,30 +112,20 @@ class FixedPolicy:
 
 
 class AbovePolicy(FixedPolicy):
-    """As far to the side, and from 70 degrees above the table: over most of what is in the way."""
-
-    name = "above"
+    """As far to the side, and from 70 degrees above the table: over most occluders."""
 
     def elevation(self) -> float:
         """The elevation to look from, radians."""
         return ABOVE_ELEVATION
 
 
-class MaxBaselinePolicy:
+class MaxBaselinePolicy(ViewSpherePolicy):
     """The view whose direction from the object is farthest in angle from the reference view's.
 
     With an azimuth offset of at most 90 degrees the cosine of that angle is, for both elevations
     above the horizon, a concave function of the second elevation and falls with the offset: its
     least value is at a corner of the box.
     """
-
-    name = "max-baseline"
-
-    def __init__(self, env: gym.Env) -> None:
-        self._env = check_view_sphere(env)
-
-    def reset(self, rng: np.random.Generator) -> None:
-        """Nothing to do: the policy draws nothing."""
 
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
         """The farthest view of this episode; of two equally far ones the first."""

@@ -1,4 +1,4 @@
-"""For reinforcement learners: a feature extractor that has learned to see what is in the way.
+"""For reinforcement learners: a feature extractor that has learned to see occluders.
 
 It holds one of the networks that ``--algo greedy`` trains and gives a learner what this predicts
 for each of the 24 candidate views: error and visibility. Where these views are is worked out from
@@ -17,8 +17,7 @@ from torch import Tensor, nn
 
 from ..envs.two_view_pose import CANDIDATE_VIEWS
 from .checkpoint import check_tensors, read_agent, subset
-from .extractor import vector_fields
-from .predictor import ErrorPredictor
+from .predictor import ErrorPredictor, vector_fields
 
 
 class CandidateExtractor(BaseFeaturesExtractor):
@@ -64,8 +63,8 @@ class CandidateExtractor(BaseFeaturesExtractor):
         return torch.cat([error, visible, *state], dim=1)
 
 
-def take_predictor(policy: nn.Module, path: Path) -> None:
-    """Gives all extractors of an untrained policy the first network of a greedy agent.
+def load_pretrained_extractor(policy: nn.Module, path: Path) -> None:
+    """Loads the first network of a greedy agent into all extractors of an untrained policy.
 
     Raises:
         ValueError: if the policy has no such extractor, or the file is no such agent.
@@ -75,8 +74,8 @@ def take_predictor(policy: nn.Module, path: Path) -> None:
     extractors = [m for m in policy.modules() if isinstance(m, CandidateExtractor)]
     if not extractors or not weights:
         raise ValueError(
-            f"init needs an agent of --algo greedy, got {path}, and hyper-parameters with "
-            "features_extractor_class: CandidateExtractor"
+            f"pretrained_extractor needs an agent of --algo greedy, got {path}, and "
+            "hyper-parameters with features_extractor_class: CandidateExtractor"
         )
     for extractor in extractors:
         check_tensors(weights, extractor.predictor.state_dict(), f"agent file {path}")
@@ -117,21 +116,12 @@ def candidate_features(camera: Tensor, translation: Tensor) -> Tensor:
     cosine = torch.cos(elevation)[:, None] * x + torch.sin(elevation)[:, None] * z
     angle = torch.arccos(cosine.clamp(-1, 1))
 
-    def alike(values: Tensor) -> Tensor:
-        return values.expand_as(angle)
-
     parts = [
-        alike(x),
-        alike(y),
-        alike(z),
-        angle,
-        torch.sin(angle),
-        alike(torch.sin(2 * azimuths)),
-        alike(torch.cos(2 * azimuths)),
+        *(x, y, z, angle, torch.sin(angle), torch.sin(2 * azimuths), torch.cos(2 * azimuths)),
         elevations - elevation[:, None],
         *seen.unbind(-1),
     ]
-    return torch.stack(parts, dim=-1)
+    return torch.stack([part.expand_as(angle) for part in parts], dim=-1)
 
 
 def _gap(a: Tensor, b: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ class AgentHeader:
     """What a file of a trained agent says about itself.
 
     Attributes:
-        algo: ``ppo``, ``sac`` or ``dqn``.
+        algo: ``ppo``, ``sac``, ``dqn`` or ``greedy``.
         env: id of the environment it was trained on.
         env_kwargs: the environment's arguments, plain data.
         hyperparameters: the entry of the hyper-parameter file.
@@ -168,24 +168,22 @@ def _parse_header(text: str | None, source: Path) -> AgentHeader:
         content = json.loads(text)
     except (json.JSONDecodeError, RecursionError) as error:
         raise ValueError(f"agent file {source} has a header that is not JSON: {error}") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        found = content.get("format") if isinstance(content, dict) else content
+    found = content.get("format") if isinstance(content, dict) else content
+    if found != FORMAT:
         raise ValueError(f"agent file {source} must have the format {FORMAT!r}, got {found!r}")
-    names = {item.name for item in fields(AgentHeader)}
-    if set(content) != names:
-        raise ValueError(
-            f"agent file {source} has a damaged header: missing "
-            f"{sorted(names - set(content))}, unknown {sorted(set(content) - names)}"
-        )
+    try:
+        header = AgentHeader(**content)
+    except TypeError as error:  # something is missing or unknown
+        raise ValueError(f"agent file {source} has a damaged header: {error}") from error
     kinds = {"algo": str, "env": str, "steps": int, "n_envs": int, "seed": int}
     kinds |= {"env_kwargs": dict, "hyperparameters": dict, "counters": dict, "aliases": dict}
     for key, kind in kinds.items():
-        if not isinstance(content[key], kind):
+        if not isinstance(getattr(header, key), kind):
             raise ValueError(
                 f"agent file {source} has a damaged header: {key} must be {kind.__name__}, "
-                f"got {content[key]!r}"
+                f"got {getattr(header, key)!r}"
             )
-    return AgentHeader(**content)
+    return header
 
 
 def subset(tensors: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:

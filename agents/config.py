@@ -17,17 +17,17 @@ REPLAY_ENV = "TwoViewPoseReplay-v0"
 
 @dataclass(frozen=True)
 class TrainAgentConfig:
-    """Train an agent that chooses the second view. Run it again to go on after a kill."""
+    """Train an agent that chooses the second view. Run it again to resume after a kill."""
 
     algo: Literal["ppo", "sac", "dqn", "greedy"] = "ppo"
     """Algorithm: dqn chooses among the views of TwoViewPoseDiscrete-v0; greedy is no reinforcement
     learning, but a network that learns from a bank to predict the error after every view."""
     bank: Path | None = None
     """Recorded views (`record-bank`) to train on, in minutes, instead of rendering."""
-    init: Path | None = None
+    pretrained_extractor: Path | None = None
     """For ppo, sac and dqn over a bank: an agent of `--algo greedy` whose network predicts the
     candidates' errors for the learner (its extractor must be CandidateExtractor)."""
-    more_scenes: Path | None = None
+    visibility_bank: Path | None = None
     """For greedy: a bank recorded with --no-answers, of which it learns what hides an object."""
     record: bool = False
     """Record the banks that do not exist yet, as the shipped agents' were: 1000 occlusion scenes
@@ -62,7 +62,7 @@ class TrainAgentConfig:
     checkpoint_every: int = 1000
     """Environment steps between checkpoints."""
     resume: bool = True
-    """Go on from the folder's checkpoint if there is one; if not set, start anew and replace it."""
+    """Resume from the folder's checkpoint if there is one; if not set, start anew, replacing it."""
     hyperparameters: Path | None = None
     """YAML file in rl-zoo3's form; by default the one that ships."""
     device: str = "auto"
@@ -81,12 +81,8 @@ class TrainAgentConfig:
                 "greedy learns from a bank: pass --bank FILE; `python -m two_view_pose record-bank "
                 "--out FILE` records one"
             )
-        for name in ("steps", "n_envs", "checkpoint_every", "validation", "evaluate_every"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ValueError(f"{name} must be at least 1, got {value}")
-        if self.seed < 0:
-            raise ValueError(f"seed must be at least 0, got {self.seed}")
+        names = ("steps", "n_envs", "checkpoint_every", "validation", "evaluate_every")
+        _check_minimum(self, seed=0, **dict.fromkeys(names, 1))
 
     @property
     def env_id(self) -> str:
@@ -105,7 +101,7 @@ class TrainAgentConfig:
 
     @property
     def device_argument(self) -> dict[str, Any]:
-        """Where the environment's estimator runs: apart, so that a run may go on elsewhere."""
+        """Where the environment's estimator runs: apart, so that a run may resume elsewhere."""
         return device_argument(None if self.bank is not None else self.estimator, self.device)
 
 
@@ -154,18 +150,21 @@ class EvaluateAgentConfig:
             raise ValueError("policy must name at least one policy, got none")
         if len(set(self.policy)) < len(self.policy):
             raise ValueError(f"policy must name each policy once, got {' '.join(self.policy)}")
-        for name in ("episodes", "seeds"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ValueError(f"{name} must be at least 1, got {value}")
-        if self.seed < 0:
-            raise ValueError(f"seed must be at least 0, got {self.seed}")
+        _check_minimum(self, seed=0, episodes=1, seeds=1)
 
     @property
     def environment_arguments(self) -> dict[str, Any]:
         """What the environment is made with."""
         own = environment_arguments(self.scene, self.objects, self.estimator, self.env_kwargs)
         return own | device_argument(self.estimator, self.device)
+
+
+def _check_minimum(config: object, **minimum: int) -> None:
+    """Raises ValueError if a number of a configuration is set, and too small."""
+    for name, lowest in minimum.items():
+        value = getattr(config, name)
+        if value is not None and value < lowest:
+            raise ValueError(f"{name} must be at least {lowest}, got {value}")
 
 
 def environment_arguments(

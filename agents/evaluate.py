@@ -44,7 +44,7 @@ def evaluate_agents(config: EvaluateAgentConfig) -> list[dict[str, Any]]:
     check_device(config.device)
     outcomes: dict[str, list[Outcome]] = {}
     bank: ViewBank | None = None
-    for env_id, names in _companies(config).items():
+    for env_id, names in policies_by_environment(config).items():
         env = _make_environment(config, env_id)
         try:
             policies = {name: make_policy(name, env, config.device) for name in names}
@@ -138,7 +138,7 @@ def _scenes(config: EvaluateAgentConfig, bank: ViewBank | None, seed: int) -> Sc
     ]
 
 
-def _companies(config: EvaluateAgentConfig) -> dict[str, list[str]]:
+def policies_by_environment(config: EvaluateAgentConfig) -> dict[str, list[str]]:
     """Which policies act in which environment; all see the same scenes.
 
     A trained policy acts in an environment like the one it was trained in, the baselines in the
@@ -154,10 +154,10 @@ def _companies(config: EvaluateAgentConfig) -> dict[str, list[str]]:
             places[name] = config.env or _live_environment(header)
     default = DISCRETE_ENV if config.bank is not None else BOX_ENV
     first = config.env or next(iter(places.values()), default)
-    companies: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = {}
     for name in sorted(config.policy, key=lambda name: name in places):
-        companies.setdefault(places.get(name, first), []).append(name)
-    return companies
+        groups.setdefault(places.get(name, first), []).append(name)
+    return groups
 
 
 def _live_environment(header: AgentHeader) -> str:

@@ -20,7 +20,7 @@ PALETTE = ("#7a7f87", "#e69f00", "#56a4d9", "#1b8a5a", "#c8401e", "#8250df", "#2
 ANGLES = np.arange(0.0, 181.0, 15.0)
 """Edges of the bins of baseline angles, degrees."""
 
-_FEWEST = 8
+_MIN_VIEWS = 8
 
 
 def draw_figures(
@@ -51,22 +51,22 @@ def recall_by_angle(outcomes: Mapping[str, Sequence[Outcome]], bank: ViewBank | 
         angles, right = all_views(bank)
         label = "all recorded views"
     else:
-        everyone = [r for name, results in outcomes.items() if name != STAY for r in results]
-        angles = np.array([r.baseline_deg for r in everyone])
-        right = np.array([r.add_over_diameter < SUCCESS for r in everyone])
+        everything = [r for name, results in outcomes.items() if name != STAY for r in results]
+        angles = np.array([r.baseline_deg for r in everything])
+        right = np.array([r.right for r in everything])
         label = "all policies' views"
     place = np.digitize(angles, ANGLES) - 1
-    bins = [b for b in range(len(ANGLES) - 1) if (place == b).sum() >= _FEWEST]
+    bins = [b for b in range(len(ANGLES) - 1) if (place == b).sum() >= _MIN_VIEWS]
     middle = [(ANGLES[b] + ANGLES[b + 1]) / 2 for b in bins]
     axis.plot(middle, [100 * right[place == b].mean() for b in bins], color="#24292f", label=label)
     for number, (name, results) in enumerate(outcomes.items()):
-        recall = 100 * float(np.mean([r.add_over_diameter < SUCCESS for r in results]))
-        colour = PALETTE[number % len(PALETTE)]
+        recall = 100 * float(np.mean([r.right for r in results]))
+        color = PALETTE[number % len(PALETTE)]
         if name == STAY:
-            axis.axhline(recall, color=colour, linestyle=":", label=name)
+            axis.axhline(recall, color=color, linestyle=":", label=name)
             continue
         angle = float(np.mean([r.baseline_deg for r in results]))
-        axis.plot(angle, recall, "o", color=colour, markersize=8, label=short(name))
+        axis.plot(angle, recall, "o", color=color, markersize=8, label=short(name))
     axis.set_xlabel("angle between the views (degrees); for a policy its mean", fontsize=9)
     axis.set_ylabel("ADD(-S) < 0.1 d (%)", fontsize=9)
     axis.set_ylim(0, 103)

@@ -1,4 +1,4 @@
-"""``greedy-predicted``: a network predicts the error after every candidate view; take the best.
+"""``greedy``: a network predicts the error after every candidate view; take the best.
 
 Frahm et al., "VIN-NBV: A View Introspection Network for Next-Best-View Selection" (2025), showed
 for reconstruction that imitating the gain of each candidate and being greedy beats plain
@@ -17,9 +17,10 @@ import torch
 from gymnasium import spaces
 from torch import Tensor, nn
 
+from .algorithms import GreedyHyperparameters
+from .baselines import Policy
 from .checkpoint import AgentHeader, check_tensors
-from .hyperparameters import GreedyHyperparameters
-from .judge import Judge, judge_features, judge_inputs
+from .judge import SuccessClassifier, success_features, success_inputs
 from .predictor import ErrorPredictor, view_features
 from .view_sphere import (
     Action,
@@ -30,8 +31,8 @@ from .view_sphere import (
     view_directions,
 )
 
-NEAR = np.deg2rad(25.0)
-"""Views so close to one that has been taken are left out."""
+MIN_SEPARATION = np.deg2rad(25.0)
+"""Views closer than this to one that has been taken are left out, radians."""
 
 
 def to_tensors(observation: Mapping[str, np.ndarray], device: torch.device) -> dict[str, Tensor]:
@@ -43,29 +44,29 @@ def to_tensors(observation: Mapping[str, np.ndarray], device: torch.device) -> d
 
 
 class GreedyAgent(nn.Module):
-    """All that is trained: networks that predict errors, and a judge of the newest pose.
+    """All that is trained: networks that predict errors, and a classifier of the newest pose.
 
     Args:
         observation_space: images with channels first.
         hyperparameters: its shape, and how many networks.
-        spans: as in :class:`ErrorPredictor`; those of a file replace them.
+        crop_width_m: as in :class:`ErrorPredictor`; those of a file replace them.
     """
 
     def __init__(
         self,
         observation_space: spaces.Dict,
         hyperparameters: GreedyHyperparameters,
-        spans: Sequence[float] | None = None,
+        crop_width_m: Sequence[float] | None = None,
     ) -> None:
         super().__init__()
         objects = int(observation_space["object"].shape[0])  # type: ignore[index]
         h = hyperparameters
-        widths = [1.0] * objects if spans is None else spans
+        widths = [1.0] * objects if crop_width_m is None else crop_width_m
         self.networks = nn.ModuleList(
             ErrorPredictor(observation_space, widths, h.features_dim, h.width, h.dropout)
             for _ in range(h.networks)
         )
-        self.judge = Judge(judge_inputs(objects))
+        self.judge = SuccessClassifier(success_inputs(objects))
 
     @property
     def device(self) -> torch.device:
@@ -79,9 +80,9 @@ class GreedyAgent(nn.Module):
         return torch.sigmoid(logits).mean(dim=0).cpu().numpy()
 
     @torch.inference_mode()
-    def sureness(self, first: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray]) -> float:
+    def confidence(self, first: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray]) -> float:
         """Probability that the pose of the newest of an episode's observations is right."""
-        features = torch.from_numpy(judge_features(first, now)).to(self.device)
+        features = torch.from_numpy(success_features(first, now)).to(self.device)
         return float(torch.sigmoid(self.judge(features)))
 
 
@@ -104,25 +105,23 @@ def load_agent(
     return agent.eval().to(device)
 
 
-class GreedyPolicy:
+class GreedyPolicy(Policy):
     """Takes the view of least predicted error and travel cost.
 
-    Where an episode may have several second views, it goes on until its judge is sure of the pose,
-    each time to the best view that is not near one it has taken.
+    Where an episode may have several second views, it takes further ones until the probability of
+    a right pose reaches the stop threshold, each time the best that is not near one it has taken.
 
     Args:
         agent: its networks.
         header: what its file says about it.
         env: the environment in which it acts: it asks it where its actions would send the camera.
-        name: what tables call it.
     """
 
-    def __init__(self, agent: GreedyAgent, header: AgentHeader, env: gym.Env, name: str) -> None:
-        self.name, self.header = name, header
+    def __init__(self, agent: GreedyAgent, header: AgentHeader, env: gym.Env) -> None:
         self._agent = agent
         self._env = check_view_sphere(env)
         self._keys = tuple(header.observation_space)
-        self._sure = GreedyHyperparameters(**header.hyperparameters).sure
+        self._threshold = GreedyHyperparameters(**header.hyperparameters).sure
         self._first: dict[str, np.ndarray] | None = None
         self._costs = np.zeros(0)
 
@@ -136,7 +135,7 @@ class GreedyPolicy:
         stop = getattr(self._env, "stop_action", None)
         if stop is None or self._first is None:
             self._first, self._costs = known, self.predict(known)
-        if stop is not None and self._agent.sureness(self._first, known) >= self._sure:
+        if stop is not None and self._agent.confidence(self._first, known) >= self._threshold:
             return int(stop)
         actions = view_actions(self._env)
         costs = self._costs + self._env.travel_weight * travels(self._env, actions)
@@ -160,5 +159,5 @@ class GreedyPolicy:
         before = directions[taken > 0]
         if not len(before):
             return np.zeros(len(actions))
-        near = (directions @ before.T).max(axis=1) > np.cos(NEAR)
+        near = (directions @ before.T).max(axis=1) > np.cos(MIN_SEPARATION)
         return near + 1.0 * (taken > 0)

@@ -1,33 +1,38 @@
-"""Trains the network of ``greedy-predicted`` on a bank: every candidate of every scene teaches."""
+"""Supervised training of the networks of ``greedy`` on a bank; nothing is imitated.
+
+Error regression: the bank knows the error and the visibility after every candidate view of every
+scene, and networks learn to predict them. Success classification: the bank knows the estimate after
+every view and whether it was right, and a small network learns to tell.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from gymnasium import spaces
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 from tqdm import tqdm
 
 from ..envs.actions import check_candidates
 from ..envs.mirror import Mirror
 from ..envs.view_bank import ViewBank
+from .algorithms import GreedyHyperparameters
 from .greedy import GreedyAgent
-from .hyperparameters import GreedyHyperparameters
-from .judge import train_judge
-from .predictor import ErrorPredictor, crop_spans, view_features
+from .judge import SuccessClassifier, success_features
+from .predictor import ErrorPredictor, crop_widths, view_features
 
-SHIFT = 2
+MAX_SHIFT = 2
 """Pixels by which a crop is shifted at most in training."""
 
 
 @dataclass(frozen=True, eq=False)
-class Lessons:
-    """A bank as the network's inputs and answers.
+class ErrorDataset:
+    """A bank as the network's inputs and targets.
 
     Attributes:
         observations: batch of all scenes, images uint8 (M, 3, S, S).
@@ -44,7 +49,7 @@ class Lessons:
     @classmethod
     def of(
         cls, bank: ViewBank, mirrored: bool = False, device: torch.device = torch.device("cpu")
-    ) -> Lessons:
+    ) -> ErrorDataset:
         """Reads a bank, or what it would be in a mirror, onto a device."""
         first = bank.first
         if mirrored:
@@ -59,14 +64,14 @@ class Lessons:
             torch.from_numpy(bank.second_visibility.astype(np.float32)).to(device),
         )
 
-    def and_more(self, more: Lessons) -> Lessons:
-        """These lessons, then others."""
+    def concatenate(self, other: ErrorDataset) -> ErrorDataset:
+        """This dataset, then another."""
         keys = self.observations
-        return Lessons(
-            {key: torch.cat([self.observations[key], more.observations[key]]) for key in keys},
-            torch.cat([self.views, more.views]),
-            torch.cat([self.errors, more.errors]),
-            torch.cat([self.visibility, more.visibility]),
+        return ErrorDataset(
+            {key: torch.cat([self.observations[key], other.observations[key]]) for key in keys},
+            torch.cat([self.views, other.views]),
+            torch.cat([self.errors, other.errors]),
+            torch.cat([self.visibility, other.visibility]),
         )
 
     def batch(self, rows: Tensor) -> tuple[dict[str, Tensor], Tensor]:
@@ -82,7 +87,7 @@ def train_agent_networks(
     hyperparameters: GreedyHyperparameters,
     seed: int,
     progress: bool = True,
-    more: ViewBank | None = None,
+    visibility_bank: ViewBank | None = None,
     device: torch.device = torch.device("cpu"),
 ) -> GreedyAgent:
     """Trains the networks of one agent; on the processor the same arguments give the same weights.
@@ -96,29 +101,33 @@ def train_agent_networks(
         hyperparameters: see there.
         seed: of first weights, order and augmentation.
         progress: show a bar.
-        more: further scenes, which say only what is visible from where.
+        visibility_bank: further scenes, of which only visibilities are known.
         device: where to train; all scenes are held there.
     """
-    lessons = tuple(Lessons.of(bank, mirrored, device) for mirrored in (False, True))
-    if more is not None:
-        further = (Lessons.of(more, mirrored, device) for mirrored in (False, True))
-        lessons = tuple(a.and_more(b) for a, b in zip(lessons, further, strict=True))
+    datasets = [ErrorDataset.of(bank, mirrored, device) for mirrored in (False, True)]
+    if visibility_bank is not None:
+        datasets = [
+            dataset.concatenate(ErrorDataset.of(visibility_bank, mirrored, device))
+            for dataset, mirrored in zip(datasets, (False, True), strict=True)
+        ]
     rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
-    spans = crop_spans(bank.header.diameters)
     forked = [device] if device.type == "cuda" else []
     with torch.random.fork_rng(devices=forked), _one_thread():
         torch.manual_seed(int(rng.integers(2**31)))
         with torch.device("cpu"):  # first weights are drawn there, whatever trains them
-            agent = GreedyAgent(observation_space, hyperparameters, spans)
+            agent = GreedyAgent(
+                observation_space, hyperparameters, crop_widths(bank.header.diameters)
+            )
         agent.to(device)
         total = hyperparameters.epochs * len(agent.networks)
         with tqdm(total=total, unit="epoch", disable=not progress) as bar:
             for network in agent.networks:
                 assert isinstance(network, ErrorPredictor)
-                for loss in _epochs(network, lessons, hyperparameters, rng):
-                    bar.set_postfix(loss=f"{loss:.3f}")
+                for loss in train_error_predictor(network, datasets, hyperparameters, rng):
+                    if progress:
+                        bar.set_postfix(loss=f"{loss:.3f}")
                     bar.update()
-        train_judge(agent.judge, bank, rng)
+        train_success_classifier(agent.judge, bank, rng)
     return agent.eval()
 
 
@@ -133,30 +142,60 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def _epochs(
+def train_error_predictor(
     network: ErrorPredictor,
-    lessons: tuple[Lessons, ...],
+    datasets: Sequence[ErrorDataset],
     hyperparameters: GreedyHyperparameters,
     rng: np.random.Generator,
 ) -> Iterator[Tensor]:
-    """Trains one network and yields the mean loss of each epoch."""
-    h, count = hyperparameters, len(lessons[0].errors)
+    """Trains one network, each batch from one of the datasets; yields each epoch's mean loss."""
+
+    def batch_loss(rows: Tensor) -> Tensor:
+        dataset = datasets[int(rng.integers(len(datasets)))]
+        observations, views = dataset.batch(rows)
+        observations["image"] = augment(observations["image"], rng)
+        error, visible = network(observations, views)
+        loss = _masked_loss(error, dataset.errors[rows])
+        return loss + _masked_loss(visible, dataset.visibility[rows])
+
+    return _fit(network, len(datasets[0].errors), batch_loss, hyperparameters, rng)
+
+
+def train_success_classifier(
+    classifier: SuccessClassifier, bank: ViewBank, rng: np.random.Generator
+) -> None:
+    """Trains a classifier on every estimate of a bank; ``rng`` draws the order."""
+    device = next(classifier.parameters()).device
+    features, right = (tensor.to(device) for tensor in _labelled_estimates(bank))
+
+    def batch_loss(rows: Tensor) -> Tensor:
+        return F.binary_cross_entropy_with_logits(classifier(features[rows]), right[rows])
+
+    hyperparameters = GreedyHyperparameters(epochs=10, batch_size=256)
+    for _ in _fit(classifier, len(right), batch_loss, hyperparameters, rng):
+        pass
+    classifier.eval()
+
+
+def _fit(
+    network: nn.Module,
+    count: int,
+    batch_loss: Callable[[Tensor], Tensor],
+    hyperparameters: GreedyHyperparameters,
+    rng: np.random.Generator,
+) -> Iterator[Tensor]:
+    """Trains on ``count`` rows by the loss of those of a batch; yields each epoch's mean loss."""
+    h, device = hyperparameters, next(network.parameters()).device
     optimizer = torch.optim.AdamW(
         network.parameters(), lr=h.learning_rate, weight_decay=h.weight_decay
     )
     batches = -(-count // h.batch_size)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, h.epochs * batches)
     network.train()
-    device = network.spans.device
     for _ in range(h.epochs):
         total = torch.zeros((), device=device)  # a number would have every step wait for a GPU
         for rows in np.array_split(rng.permutation(count), batches):
-            chosen, at = lessons[int(rng.integers(2))], torch.from_numpy(rows).to(device)
-            observations, views = chosen.batch(at)
-            observations["image"] = _disturbed(observations["image"], rng)
-            error, visible = network(observations, views)
-            loss = _known_loss(error, chosen.errors[at])
-            loss = loss + _known_loss(visible, chosen.visibility[at])
+            loss = batch_loss(torch.from_numpy(rows).to(device))
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
@@ -165,18 +204,18 @@ def _epochs(
         yield total / count
 
 
-def _known_loss(logits: Tensor, wanted: Tensor) -> Tensor:
-    """Cross entropy where it is known what is wanted; 0 where nothing is."""
-    known = torch.isfinite(wanted)
+def _masked_loss(logits: Tensor, target: Tensor) -> Tensor:
+    """Cross entropy where the target is known (not NaN); 0 where none is."""
+    known = torch.isfinite(target)
     losses = F.binary_cross_entropy_with_logits(
-        logits, torch.where(known, wanted, torch.zeros_like(wanted)), reduction="none"
+        logits, torch.where(known, target, torch.zeros_like(target)), reduction="none"
     )
     return (losses * known).sum() / known.sum().clamp(min=1)
 
 
-def _disturbed(images: Tensor, rng: np.random.Generator) -> Tensor:
+def augment(images: Tensor, rng: np.random.Generator) -> Tensor:
     """Crops (B, 3, S, S) shifted a little, brighter or darker, with more contrast or less."""
-    shift = rng.integers(-SHIFT, SHIFT + 1, 2).tolist()
+    shift = rng.integers(-MAX_SHIFT, MAX_SHIFT + 1, 2).tolist()
     size = (len(images), 1, 1, 1)
     draws = rng.uniform(0.8, 1.2, size), rng.normal(0.0, 0.1, size)
     contrast, brightness = (
@@ -185,8 +224,23 @@ def _disturbed(images: Tensor, rng: np.random.Generator) -> Tensor:
     return (torch.roll(images, shift, (2, 3)) * contrast + brightness).clamp(0.0, 1.0)
 
 
+def _labelled_estimates(bank: ViewBank) -> tuple[Tensor, Tensor]:
+    """Features of every estimate of a bank (M * (N + 1), F), and whether each is right."""
+    first = {
+        key: np.repeat(array[:, None], bank.slots, axis=1)
+        for key, array in bank.first.items()
+        if key != "image"
+    }
+    second = dict(bank.second) | {"object": first["object"]}
+    pairs = success_features(first, second).reshape(len(bank) * bank.slots, -1)
+    alone = success_features(bank.first, bank.first)
+    features = torch.from_numpy(np.concatenate([pairs, alone]))
+    right = np.concatenate([(bank.second_error < 0.1).ravel(), bank.first_error < 0.1])
+    return features, torch.from_numpy(right.astype(np.float32))
+
+
 def chosen_slots(agent: GreedyAgent, bank: ViewBank) -> np.ndarray:
     """The slot of least predicted error in every scene of a bank, (M,)."""
-    lessons = Lessons.of(bank, device=agent.device)
-    observations, views = lessons.batch(torch.arange(len(bank), device=agent.device))
+    dataset = ErrorDataset.of(bank, device=agent.device)
+    observations, views = dataset.batch(torch.arange(len(bank), device=agent.device))
     return agent.predict(observations, views).argmin(axis=1)

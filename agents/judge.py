@@ -1,9 +1,8 @@
-"""Whether a pose is right, judged from what the robot knows: when to stop looking.
+"""Whether a pose is right, classified from what the robot knows: when to stop looking.
 
-A bank holds the estimate after every second view and whether it was right. A small network learns
-to tell from the keypoints' uncertainty, the detector's score, the object, the cameras and how far
-the estimate moved since the first view. In ``TwoViewPoseSequential-v0`` an agent stops once its
-judge is sure enough.
+A small network tells it from the keypoints' uncertainty, the detector's score, the object, the
+cameras and how far the estimate moved since the first view. In ``TwoViewPoseSequential-v0`` an
+agent stops once the probability reaches its stop threshold.
 """
 
 from __future__ import annotations
@@ -11,23 +10,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
-
-from ..envs.observation import Observation
-from ..envs.view_bank import ViewBank
 
 HIDDEN = 64
 
-JUDGE_EPOCHS, JUDGE_BATCH, JUDGE_RATE = 10, 256, 1e-3
 
-
-class Judge(nn.Module):
+class SuccessClassifier(nn.Module):
     """Logit of the probability that ADD(-S) is below a tenth of the diameter.
 
     Args:
-        inputs: length of :func:`judge_features`.
+        inputs: length of :func:`success_features`.
         dropout: share of the hidden units that are left out in training.
     """
 
@@ -48,8 +40,8 @@ class Judge(nn.Module):
         return self.layers(features)[..., 0]
 
 
-def judge_features(first: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray]) -> np.ndarray:
-    """What the judge is told, (..., F) float32.
+def success_features(first: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Inputs of the classifier, (..., F) float32.
 
     Args:
         first: observation after the reference view, or a batch of them.
@@ -78,41 +70,6 @@ def judge_features(first: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray
     return np.concatenate(parts, axis=-1).astype(np.float32)
 
 
-def judged_pairs(bank: ViewBank) -> tuple[Tensor, Tensor]:
-    """Features of every estimate of a bank (M * (N + 1), F), and whether each is right."""
-    slots = bank.slots
-    first: Observation = {
-        key: np.repeat(array[:, None], slots, axis=1)
-        for key, array in bank.first.items()
-        if key != "image"
-    }
-    second = dict(bank.second) | {"object": first["object"]}
-    pairs = judge_features(first, second).reshape(len(bank) * slots, -1)
-    alone = judge_features(bank.first, bank.first)
-    features = torch.from_numpy(np.concatenate([pairs, alone]))
-    right = np.concatenate([(bank.second_error < 0.1).ravel(), bank.first_error < 0.1])
-    return features, torch.from_numpy(right.astype(np.float32))
-
-
-def judge_inputs(objects: int) -> int:
-    """Length of :func:`judge_features` where the one-hot is of so many objects."""
+def success_inputs(objects: int) -> int:
+    """Length of :func:`success_features` where the one-hot is of so many objects."""
     return 9 + 9 + 1 + 1 + 6 + 3 + 7 + 7 + objects + 3 + 1 + 2
-
-
-def train_judge(judge: Judge, bank: ViewBank, rng: np.random.Generator) -> None:
-    """Trains a judge on every estimate of a bank; ``rng`` draws the order."""
-    device = next(judge.parameters()).device
-    features, right = (tensor.to(device) for tensor in judged_pairs(bank))
-    optimizer = torch.optim.AdamW(judge.parameters(), lr=JUDGE_RATE, weight_decay=1e-2)
-    batches = -(-len(right) // JUDGE_BATCH)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, JUDGE_EPOCHS * batches)
-    judge.train()
-    for _ in range(JUDGE_EPOCHS):
-        for rows in np.array_split(rng.permutation(len(right)), batches):
-            chosen = torch.from_numpy(rows).to(device)
-            loss = F.binary_cross_entropy_with_logits(judge(features[chosen]), right[chosen])
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            schedule.step()
-    judge.eval()

@@ -1,4 +1,4 @@
-"""``oracle``: tries every view and takes the best. It knows the truth: a bound, no policy."""
+"""``oracle``: tries every view and takes the best. It knows the truth: an upper bound."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from collections.abc import Mapping
 import gymnasium as gym
 import numpy as np
 
-from .view_sphere import Action, check_view_sphere, view_actions
+from .baselines import ViewSpherePolicy
+from .view_sphere import Action, view_actions
 
 
-class OraclePolicy:
+class OraclePolicy(ViewSpherePolicy):
     """Takes the candidate of the highest reward, which it learns from ``peek_all``.
 
     Args:
@@ -20,15 +21,10 @@ class OraclePolicy:
         ValueError: if it cannot.
     """
 
-    name = "oracle"
-
     def __init__(self, env: gym.Env) -> None:
-        self._env = check_view_sphere(env)
+        super().__init__(env)
         if not hasattr(self._env, "peek_all"):
             raise ValueError(f"oracle needs an environment with peek_all(), got {self._env}")
-
-    def reset(self, rng: np.random.Generator) -> None:
-        """Nothing to do: the policy draws nothing."""
 
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
         """The best candidate by the true error; in a Box those of ``TwoViewPoseDiscrete-v0``."""

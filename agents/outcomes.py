@@ -1,4 +1,4 @@
-"""What came of episodes, and the numbers that a results file says of them.
+"""Outcomes of episodes, and the numbers that a results file says of them.
 
 Policies see the same scenes, so they are compared scene by scene: an interval of a difference
 resamples scenes, both policies' outcomes together (Efron and Tibshirani, *An Introduction to the
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,12 @@ import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
+from scipy.stats import binomtest
 
 STAY = "stay"
 """The row for what the first view alone gives."""
 
-ORACLE, RULE = "oracle", "max-baseline"
+ORACLE, REFERENCE_POLICY = "oracle", "max-baseline"
 """The best that any policy could do, and the rule that a trained one has to beat."""
 
 SUCCESS = 0.1
@@ -37,7 +39,7 @@ Estimate = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one episode.
+    """The outcome of one episode.
 
     Attributes:
         object_name: the target.
@@ -61,6 +63,11 @@ class Outcome:
     def capped(self) -> float:
         """ADD(-S) over the diameter, 1 where it is more: what the reward counts."""
         return min(self.add_over_diameter, 1.0)
+
+    @property
+    def right(self) -> bool:
+        """Whether ADD(-S) is below a tenth of the diameter."""
+        return self.add_over_diameter < SUCCESS
 
 
 def outcome_of(info: Mapping[str, Any], key: str, views: int) -> Outcome:
@@ -125,7 +132,7 @@ def _records(results: Sequence[Outcome], tags: Mapping[str, Any]) -> list[dict[s
 
 def statistics(results: Sequence[Outcome]) -> list[tuple[str, str, Estimate]]:
     """Metric, unit and (value, low, high) of each."""
-    right = per_scene(results, lambda r: r.add_over_diameter < SUCCESS)
+    right = per_scene(results, lambda r: r.right)
     once = len(right) == len(results)
     means: list[tuple[str, str, Callable[[Outcome], float]]] = [
         ("add_over_diameter", "1", lambda r: r.add_over_diameter),
@@ -134,88 +141,78 @@ def statistics(results: Sequence[Outcome]) -> list[tuple[str, str, Estimate]]:
         ("second_views", "1", lambda r: r.views),
     ]
     return [
-        (
-            "add_s_recall",
-            "1",
-            wilson(int(right.sum()), len(right)) if once else mean_interval(right),
-        ),
+        ("add_s_recall", "1", _recall(right) if once else mean_interval(right)),
         *((metric, unit, mean_interval(per_scene(results, f))) for metric, unit, f in means),
     ]
 
 
 def _comparisons(outcomes: Mapping[str, Sequence[Outcome]], scene: str) -> list[dict[str, Any]]:
     """Every policy against ``max-baseline``, and how much of its way to the oracle it has gone."""
-    if RULE not in outcomes:
+    if REFERENCE_POLICY not in outcomes:
         return []
     capped = {name: per_scene(rows, lambda r: r.capped) for name, rows in outcomes.items()}
-    right = {
-        name: per_scene(rows, lambda r: r.add_over_diameter < SUCCESS)
-        for name, rows in outcomes.items()
-    }
-    count = len(capped[RULE])
-    times = _resamples(count)
+    right = {name: per_scene(rows, lambda r: r.right) for name, rows in outcomes.items()}
+    reference, oracle = capped[REFERENCE_POLICY], capped.get(ORACLE)
+    tags = {"scene": scene, "object": "mean", "against": REFERENCE_POLICY, "n": len(reference)}
     records = []
     for policy in outcomes:
-        tags = {"policy": policy, "scene": scene, "object": "mean", "against": RULE, "n": count}
         found = {
-            "add_s_recall_difference": _paired(right[policy] - right[RULE], times),
-            "capped_difference": _paired(capped[policy] - capped[RULE], times),
+            "add_s_recall_difference": _paired(right[policy] - right[REFERENCE_POLICY]),
+            "capped_difference": _paired(capped[policy] - reference),
         }
-        if ORACLE in outcomes:
-            closed = gap_closed(capped[policy], capped[RULE], capped[ORACLE], times)
+        if oracle is not None:
+            closed = gap_closed(capped[policy], reference, oracle)
             found |= {"gap_closed": closed} if closed is not None else {}
-            found["regret"] = _paired(capped[policy] - capped[ORACLE], times)
+            found["regret"] = _paired(capped[policy] - oracle)
         records += [
-            {"metric": metric, "value": value, "unit": "1", **tags, "low": low, "high": high}
+            {"metric": metric, "value": value, "unit": "1", "policy": policy, **tags,
+             "low": low, "high": high}
             for metric, (value, low, high) in found.items()
-        ]
+        ]  # fmt: skip
     return records
 
 
-def gap_closed(
-    policy: np.ndarray, rule: np.ndarray, oracle: np.ndarray, times: np.ndarray | None = None
-) -> Estimate | None:
-    """Share of the gap in mean error from a rule to the oracle that a policy closes.
+def gap_closed(policy: np.ndarray, reference: np.ndarray, oracle: np.ndarray) -> Estimate | None:
+    """Share of the gap in mean error from a reference policy to the oracle that a policy closes.
 
     Args:
-        policy, rule, oracle: capped errors on the same scenes, (M,).
-        times: how often each resample draws each scene, (R, M); None: drawn here.
+        policy, reference, oracle: capped errors on the same scenes, (M,).
 
     Returns:
-        Value and 95 percent interval; None where rule and oracle are the same.
+        Value and 95 percent interval; None where reference and oracle are the same.
     """
-    times = _resamples(len(policy)) if times is None else times
-    gap = rule.mean() - oracle.mean()
+    gap = reference.mean() - oracle.mean()
     if gap < 1e-9:
         return None
-    gaps = times @ (rule - oracle)
-    shares = (times @ (rule - policy))[gaps > 0] / gaps[gaps > 0]
-    low, high = np.quantile(shares, (0.025, 0.975))
-    return float((rule.mean() - policy.mean()) / gap), float(low), float(high)
+    gaps, gains = (_resamples(len(policy)) @ (reference - other) for other in (oracle, policy))
+    low, high = np.quantile(gains[gaps > 0] / gaps[gaps > 0], (0.025, 0.975))
+    return float((reference.mean() - policy.mean()) / gap), float(low), float(high)
 
 
+def _paired(differences: np.ndarray) -> Estimate:
+    """A mean difference over scenes and its 95 percent interval."""
+    means = _resamples(len(differences)) @ differences / len(differences)
+    low, high = np.quantile(means, (0.025, 0.975))
+    return float(differences.mean()), float(low), float(high)
+
+
+@lru_cache(maxsize=1)
 def _resamples(count: int) -> np.ndarray:
     """How often each resample draws each scene, (R, count)."""
     return np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), RESAMPLES)
 
 
-def _paired(differences: np.ndarray, times: np.ndarray) -> Estimate:
-    low, high = np.quantile(times @ differences / len(differences), (0.025, 0.975))
-    return float(differences.mean()), float(low), float(high)
-
-
-def wilson(successes: int, n: int, z: float = 1.959964) -> Estimate:
+def _recall(right: np.ndarray) -> Estimate:
     """A fraction and its 95 percent interval (Wilson, 1927), which stays within 0 and 1."""
-    fraction = successes / n
-    centre = (fraction + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * math.sqrt(fraction * (1 - fraction) / n + z * z / (4 * n * n))
-    return fraction, max(0.0, centre - half), min(1.0, centre + half)
+    result = binomtest(int(right.sum()), len(right))
+    low, high = result.proportion_ci(method="wilson")
+    return float(result.statistic), float(low), float(high)
 
 
-def mean_interval(values: np.ndarray, z: float = 1.959964) -> Estimate:
+def mean_interval(values: np.ndarray) -> Estimate:
     """A mean and its 95 percent interval by the normal approximation."""
     mean = float(values.mean())
-    half = z * float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else 0.0
+    half = 1.959964 * float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else 0.0
     return mean, mean - half, mean + half
 
 
@@ -223,13 +220,8 @@ def print_table(outcomes: Mapping[str, Sequence[Outcome]], title: str) -> None:
     """Prints one row a policy; ``closed`` is the share of the gap from the rule to the oracle."""
     table = Table(title=title, box=box.SIMPLE_HEAD, pad_edge=False)  # it fits 80 columns
     several = any(result.views > 1 for results in outcomes.values() for result in results)
-    closed = RULE in outcomes and ORACLE in outcomes
-    columns = [
-        "policy",
-        "ADD(-S)<0.1d",
-        "min(ADD(-S)/d,1)",
-        *(["closed"] if closed else []),
-    ]
+    closed = REFERENCE_POLICY in outcomes and ORACLE in outcomes
+    columns = ["policy", "ADD(-S)<0.1d", "min(ADD(-S)/d,1)", *(["closed"] if closed else [])]
     for column in [*columns, "travel", *(["views"] if several else []), "n"]:
         table.add_column(column, justify="left" if column == "policy" else "right")
     capped = {name: per_scene(rows, lambda r: r.capped) for name, rows in outcomes.items()}
@@ -241,7 +233,7 @@ def print_table(outcomes: Mapping[str, Sequence[Outcome]], title: str) -> None:
             f"{error[0]:.3f} ({error[1]:.3f}-{error[2]:.3f})",
         ]
         if closed:
-            share = gap_closed(capped[policy], capped[RULE], capped[ORACLE])
+            share = gap_closed(capped[policy], capped[REFERENCE_POLICY], capped[ORACLE])
             cells.append("" if share is None or policy == STAY else f"{100 * share[0]:.0f} %")
         cells += [f"{travel[0]:.2f} m", *([f"{views[0]:.2f}"] if several else [])]
         table.add_row(*cells, str(len(capped[policy])))

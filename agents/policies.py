@@ -75,4 +75,4 @@ def make_policy(name_or_path: str | os.PathLike[str], env: gym.Env, device: str 
         return BASELINES[os.fspath(name_or_path)](env)
     from .trained import load_policy  # imports torch: only now
 
-    return load_policy(path, env, os.fspath(name_or_path), device)
+    return load_policy(path, env, device)

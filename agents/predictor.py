@@ -1,12 +1,13 @@
 """The network that predicts what a second view will be worth, from the first one.
 
 What would hide the object from a view stands on the line from the object to that camera, and that
-line is seen in the reference picture: the network looks along it.
+line is seen in the reference image: the network looks along it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 import torch
@@ -17,7 +18,6 @@ from torch.nn import functional as F
 from ..envs.carrier import directions_from
 from ..envs.observation import SURROUNDINGS
 from ..pose_estimator.features import FeatureConfig
-from .extractor import vector_fields
 
 VIEW_FEATURES = 8
 
@@ -31,33 +31,32 @@ LINE_POINTS = (0.0, 0.03, 0.06, 0.09, 0.12, 0.16, 0.2, 0.25, 0.3)
 class ErrorPredictor(nn.Module):
     """Predicts min(ADD(-S) / diameter, 1) after a second view from each of N directions.
 
-    What would hide the object from a view stands on the line from the object to that camera, and
-    that line is seen in the reference picture. So besides the whole crop, the network looks at the
-    crop's features along the projected line of every candidate: what it learns of a box to the
-    left serves for one to the right. It also predicts how much of the object a view would show,
-    which teaches it to see what is in the way.
+    Besides the whole crop, the network looks at the crop's features along the projected line of
+    sight of every candidate: what it learns of a box to the left serves for one to the right. It
+    also predicts how much of the object a view would show, which teaches it to see occluders.
 
     Args:
         observation_space: of the environment, its image with channels first.
-        spans: for each object how many metres the crop is wide at the object, (n,).
+        crop_width_m: for each object the width of the crop at the object in metres, (n,).
         features_dim: width of the layers that join what is known of a scene and of a view.
         width: channels of the first convolution.
         dropout: share of features that are left out in training.
     """
 
     spans: Tensor
+    """``crop_width_m``, under the name that it has in agents' files."""
 
     def __init__(
         self,
         observation_space: spaces.Dict,
-        spans: Sequence[float],
+        crop_width_m: Sequence[float],
         features_dim: int = 128,
         width: int = 12,
         dropout: float = 0.2,
     ) -> None:
         super().__init__()
         self._vectors, state = vector_fields(observation_space)
-        self.register_buffer("spans", torch.tensor(spans, dtype=torch.float32))
+        self.register_buffer("spans", torch.tensor(crop_width_m, dtype=torch.float32))
         self.lines = nn.Sequential(
             nn.Conv2d(3, width, 5, stride=2, padding=2),
             nn.ReLU(),
@@ -109,8 +108,8 @@ class ErrorPredictor(nn.Module):
         scene = self.scene(torch.cat([self.whole(maps), state], dim=1))
         seen = F.grid_sample(maps, self.line_of_sight(observations, views), align_corners=False)
         line = F.relu(self.line(seen.permute(0, 2, 3, 1).flatten(2)))
-        told = torch.cat([views[..., :VIEW_FEATURES], line], dim=-1)
-        mixed = self.mix(scene[:, None] + self.view(told))
+        known = torch.cat([views[..., :VIEW_FEATURES], line], dim=-1)
+        mixed = self.mix(scene[:, None] + self.view(known))
         visible = self.visibility(mixed)
         error = self.error(torch.cat([mixed, torch.sigmoid(visible)], dim=-1))
         return error[..., 0], visible[..., 0]
@@ -130,21 +129,28 @@ class ErrorPredictor(nn.Module):
         return places * (nearer / half)[..., None]
 
 
-def crop_spans(diameters: Sequence[float]) -> list[float]:
-    """How many metres a crop is wide at an object that its region of interest fits, for each."""
+def vector_fields(observation_space: spaces.Dict) -> tuple[tuple[str, ...], int]:
+    """The fields of an observation but for the image, and how many numbers they are."""
+    boxes = {key: cast(spaces.Box, part) for key, part in observation_space.spaces.items()}
+    vectors = tuple(key for key in boxes if key != "image")
+    return vectors, sum(int(boxes[key].shape[0]) for key in vectors)
+
+
+def crop_widths(diameters: Sequence[float]) -> list[float]:
+    """Widths in metres, at the object, of crops around regions of interest that fit."""
     return [SURROUNDINGS * ROI_SCALE * diameter for diameter in diameters]
 
 
 def view_features(
     T_cam_world: np.ndarray, centre: np.ndarray, T_second_world: np.ndarray, mirrored: bool = False
 ) -> np.ndarray:
-    """What the network is told of candidate views.
+    """The network's inputs for candidate views.
 
     Args:
         T_cam_world: reference camera, (..., 4, 4).
         centre: the object, (..., 3), world.
         T_second_world: cameras of the candidates, (..., N, 4, 4).
-        mirrored: tell it of the same scene in a mirror.
+        mirrored: of the same scene in a mirror.
 
     Returns:
         (..., N, 11) float32: direction from the object with the reference camera at azimuth 0,

@@ -10,7 +10,7 @@ import numpy as np
 from ..envs.observation import SpherePosition
 from ..envs.view_bank import ViewBank
 from ..pose_estimator.study_figures import INK, new_figure
-from .outcomes import ORACLE, RULE, Outcome, short
+from .outcomes import ORACLE, REFERENCE_POLICY, Outcome, short
 from .policies import BASELINES
 
 if TYPE_CHECKING:
@@ -33,17 +33,17 @@ def view_spheres(
         outcomes: of policies on its scenes, in order; their choices are found by the error.
         count: how many scenes.
     """
-    scenes = _telling(bank, count)
+    scenes = most_informative_scenes(bank, count)
     figure = new_figure(2.7 * len(scenes), 4.9)
     rows = figure.add_gridspec(2, len(scenes), height_ratios=(1.0, 0.62))
-    marked = [RULE, *(name for name in outcomes if name not in BASELINES), ORACLE]
+    marked = [REFERENCE_POLICY, *(name for name in outcomes if name not in BASELINES), ORACLE]
     names = [name for name in marked if name in outcomes][: len(_MARKS)]
     for column, scene in enumerate(scenes):
-        picture = figure.add_subplot(rows[0, column])
-        picture.imshow(bank.first["image"][scene], interpolation="nearest")
-        picture.set_axis_off()
+        image = figure.add_subplot(rows[0, column])
+        image.imshow(bank.first["image"][scene], interpolation="nearest")
+        image.set_axis_off()
         name = bank.header.object_names[int(bank.object_index[scene])]
-        picture.set_title(
+        image.set_title(
             f"{name}, {100 * bank.visibility[scene]:.0f} % visible", fontsize=10, color=INK
         )
         axis: Any = figure.add_subplot(rows[1, column], projection="polar")
@@ -104,7 +104,7 @@ def _slot_of(bank: ViewBank, scene: int, outcome: Outcome) -> int | None:
     return slot if differences[slot] < 1e-5 else None
 
 
-def _telling(bank: ViewBank, count: int) -> list[int]:
+def most_informative_scenes(bank: ViewBank, count: int) -> list[int]:
     """Scenes whose candidates differ most, one of each stretch of visibilities."""
     order = np.argsort(bank.visibility, kind="stable")
     spread = np.minimum(bank.second_error, 0.3).std(axis=1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 import os
 import shlex
 import time
@@ -18,16 +17,18 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from ..pose_estimator.device import check_device, resolve_device
 from ..pose_estimator.results import write_results
-from .candidates import take_predictor
-from .checkpoint import AgentHeader, describe_space, read_agent, write_agent
+from .algorithms import ALGORITHMS, GREEDY, POLICY_CLASS
+from .candidates import load_pretrained_extractor
+from .checkpoint import AgentHeader, read_agent, write_agent
 from .config import BOX_ENV, DISCRETE_ENV, TrainAgentConfig
-from .hyperparameters import ALGORITHMS, GREEDY, algorithm_kwargs, load_hyperparameters
-from .lanes import has_lanes, make_lanes
+from .hyperparameters import algorithm_kwargs, load_hyperparameters
+from .lanes import has_vector_env, make_sub_environments
 from .training_state import counters, restart, restore_state, state_tensors
 from .validation import (
     POLICY,
     WORST,
     make_env,
+    make_header,
     make_validation,
     record_missing,
     save_policy,
@@ -38,7 +39,7 @@ CHECKPOINT, LOGS = "checkpoint.safetensors", "tb"
 
 
 def train_agent(config: TrainAgentConfig) -> Path:
-    """Trains an agent and saves it; goes on from the folder's checkpoint if there is one.
+    """Trains an agent and saves it; resumes from the folder's checkpoint if there is one.
 
     Args:
         config: see `TrainAgentConfig`.
@@ -70,10 +71,10 @@ def train_agent(config: TrainAgentConfig) -> Path:
     venv = _environments(config.env_id, arguments | learning, n_envs, replay)
     venv.seed(config.seed)
     try:
-        header = _header(config, entry, venv)
+        header = make_header(config, entry, venv, n_envs)
         model = _make_model(config, entry, venv)
-        if config.init is not None:
-            take_predictor(model.policy, config.init)
+        if config.pretrained_extractor is not None:
+            load_pretrained_extractor(model.policy, config.pretrained_extractor)
         callbacks: list[BaseCallback] = [_Checkpoints(header, config)]
         if replay:
             model.best_mean_reward = WORST  # type: ignore[attr-defined]
@@ -124,7 +125,7 @@ class _Checkpoints(BaseCallback):
 
 
 def save_agent(model: BaseAlgorithm, header: AgentHeader, out: Path, policy: bool = True) -> None:
-    """Writes the policy if asked, and the checkpoint from which training can go on."""
+    """Writes the policy if asked, and the checkpoint from which training can resume."""
     header = replace(header, steps=model.num_timesteps)
     if policy:
         save_policy(model, header, out)
@@ -132,9 +133,9 @@ def save_agent(model: BaseAlgorithm, header: AgentHeader, out: Path, policy: boo
 
 
 def _environments(env_id: str, arguments: dict[str, Any], n_envs: int, replay: bool) -> VecEnv:
-    """One, lanes that share an estimator where there is such a thing, or a process each."""
-    if n_envs > 1 and not replay and has_lanes(env_id):
-        return make_lanes(env_id, n_envs, arguments)
+    """One, or several that share an estimator where there is such a thing, or a process each."""
+    if n_envs > 1 and not replay and has_vector_env(env_id):
+        return make_sub_environments(env_id, n_envs, arguments)
     return make_vec_env(
         functools.partial(make_env, env_id, arguments),
         n_envs=n_envs,
@@ -145,35 +146,12 @@ def _environments(env_id: str, arguments: dict[str, Any], n_envs: int, replay: b
 def _make_model(config: TrainAgentConfig, entry: dict[str, Any], venv: VecEnv) -> BaseAlgorithm:
     config.out.mkdir(parents=True, exist_ok=True)
     return ALGORITHMS[config.algo](
-        "MultiInputPolicy",
+        POLICY_CLASS,
         venv,
         seed=config.seed,
         device=resolve_device(config.device),
         tensorboard_log=os.fspath(config.out / LOGS),
         **algorithm_kwargs(entry),
-    )
-
-
-def _header(config: TrainAgentConfig, entry: dict[str, Any], venv: VecEnv) -> AgentHeader:
-    """What identifies the run, as plain data."""
-    try:
-        plain = json.loads(json.dumps([config.environment_arguments, entry]))
-    except TypeError as error:
-        raise ValueError(
-            f"the environment's arguments must be plain data to be saved with the agent, "
-            f"got {config.environment_arguments}: {error}"
-        ) from error
-    return AgentHeader(
-        algo=config.algo,
-        env=config.env_id,
-        env_kwargs=plain[0],
-        hyperparameters=plain[1],
-        n_envs=venv.num_envs,
-        seed=config.seed,
-        checkpoint_every=config.checkpoint_every,
-        steps=0,
-        observation_space=describe_space(venv.observation_space),
-        action_space=describe_space(venv.action_space),
     )
 
 
@@ -197,26 +175,23 @@ def _resume(model: BaseAlgorithm, header: AgentHeader, config: TrainAgentConfig)
 def _report(model: BaseAlgorithm, config: TrainAgentConfig, steps: int, seconds: float) -> None:
     """Prints what was saved and how to evaluate it; writes the results file if one is asked for."""
     policy = config.out / POLICY
-    rewards = [episode["r"] for episode in model.ep_info_buffer or ()]
     print(f"Saved {policy} after {model.num_timesteps} steps.")
-    if rewards:
-        print(f"Mean reward of the last {len(rewards)} episodes: {sum(rewards) / len(rewards):.3f}")
-    print(f"Learning curves: tensorboard --logdir {config.out / LOGS}")
-    print(f"Compare it with the baselines: {_evaluation(config, policy)}")
-    if config.json is None:
-        return
     tags = {"policy": os.fspath(policy), "algo": config.algo, "scene": config.scene}
     records = [{"metric": "steps", "value": model.num_timesteps, "unit": "1", **tags}]
+    rewards = [episode["r"] for episode in model.ep_info_buffer or ()]
     if rewards:
-        mean = sum(rewards) / len(rewards)
-        records.append(
-            {"metric": "mean_reward", "value": mean, "unit": "1", "n": len(rewards), **tags}
-        )
+        mean, n = sum(rewards) / len(rewards), len(rewards)
+        print(f"Mean reward of the last {n} episodes: {mean:.3f}")
+        records.append({"metric": "mean_reward", "value": mean, "unit": "1", "n": n, **tags})
     if steps:
         rate = steps / seconds
         records.append({"metric": "steps_per_second", "value": rate, "unit": "1/s", **tags})
-    command = f"train-agent --algo {config.algo} --steps {model.num_timesteps} --out {config.out}"
-    write_results(config.json, records, command=command, seed=config.seed)
+    print(f"Learning curves: tensorboard --logdir {config.out / LOGS}")
+    print(f"Compare it with the baselines: {_evaluation(config, policy)}")
+    if config.json is not None:
+        command = f"train-agent --algo {config.algo} --steps {model.num_timesteps}"
+        command += f" --out {config.out}"
+        write_results(config.json, records, command=command, seed=config.seed)
 
 
 def _evaluation(config: TrainAgentConfig, policy: Path) -> str:

@@ -13,18 +13,18 @@ import numpy as np
 from ..envs.view_bank import ViewBank, read_bank
 from ..pose_estimator.device import resolve_device
 from ..pose_estimator.results import write_results
-from .checkpoint import AgentHeader, describe_space, write_agent
+from .algorithms import GREEDY, GreedyHyperparameters
+from .checkpoint import write_agent
 from .config import TrainAgentConfig
-from .hyperparameters import GREEDY, GreedyHyperparameters
 from .imitation import chosen_slots, train_agent_networks
 from .trained import channels_first
-from .validation import POLICY, split_bank
+from .validation import POLICY, make_header, split_bank
 
 
 def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
     """Trains the networks that predict errors, and says how they do on the validation scenes.
 
-    It takes minutes, so it is not resumed: the same command begins anew and ends the same.
+    It takes minutes, so it is not resumed: the same command starts anew and ends the same.
 
     Args:
         config: see `TrainAgentConfig`.
@@ -44,22 +44,12 @@ def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
         hyperparameters,
         config.seed,
         config.progress,
-        None if config.more_scenes is None else read_bank(config.more_scenes),
+        None if config.visibility_bank is None else read_bank(config.visibility_bank),
         resolve_device(config.device),
     )
     seconds = time.perf_counter() - began
-    header = AgentHeader(
-        algo=GREEDY,
-        env=config.env_id,
-        env_kwargs=config.environment_arguments,
-        hyperparameters=vars(hyperparameters),
-        n_envs=1,
-        seed=config.seed,
-        checkpoint_every=config.checkpoint_every,
-        steps=hyperparameters.epochs * hyperparameters.networks,
-        observation_space=describe_space(env.observation_space),
-        action_space=describe_space(env.action_space),
-    )
+    steps = hyperparameters.epochs * hyperparameters.networks
+    header = make_header(config, vars(hyperparameters), env, steps=steps)
     weights = {f"policy/{key}": value for key, value in agent.state_dict().items()}
     path = config.out / POLICY
     write_agent(path, header, weights, half=True)
@@ -80,7 +70,7 @@ def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
             {"metric": "training_time", "value": seconds, "unit": "s", **tags},
         ]
         command = f"train-agent --algo greedy --bank {config.bank} --out {config.out}"
-        if config.more_scenes is not None:
-            command += f" --more-scenes {config.more_scenes}"
+        if config.visibility_bank is not None:
+            command += f" --visibility-bank {config.visibility_bank}"
         write_results(config.json, records, command=command, seed=config.seed)
     return path

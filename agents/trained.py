@@ -15,28 +15,18 @@ from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.vec_env import VecTransposeImage
 
 from ..pose_estimator.device import resolve_device
+from .algorithms import ALGORITHMS, GREEDY, POLICY_CLASS, check_hyperparameters, policy_kwargs
 from .baselines import Policy
 from .checkpoint import AgentHeader, check_tensors, describe_space, read_agent, subset
 from .greedy import GreedyPolicy, load_agent
-from .hyperparameters import ALGORITHMS, GREEDY, check_hyperparameters, policy_kwargs
 from .view_sphere import Action
 
 
-class TrainedPolicy:
-    """Acts with a trained network, deterministically.
+class TrainedPolicy(Policy):
+    """Acts with a network that SB3 trained, deterministically."""
 
-    Attributes:
-        name: what tables call it.
-        header: what its file says about it.
-    """
-
-    def __init__(self, policy: BasePolicy, header: AgentHeader, name: str) -> None:
-        self.name = name
-        self.header = header
+    def __init__(self, policy: BasePolicy) -> None:
         self._policy = policy
-
-    def reset(self, rng: np.random.Generator) -> None:
-        """Nothing to do: the policy draws nothing and remembers nothing."""
 
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
         """The action for one observation of the environment (not batched)."""
@@ -44,15 +34,12 @@ class TrainedPolicy:
         return int(action) if isinstance(self._policy.action_space, spaces.Discrete) else action
 
 
-def load_policy(
-    path: str | os.PathLike[str], env: gym.Env, name: str | None = None, device: str = "auto"
-) -> Policy:
+def load_policy(path: str | os.PathLike[str], env: gym.Env, device: str = "auto") -> Policy:
     """Loads what ``train-agent`` wrote, a ``policy.safetensors`` or a ``checkpoint.safetensors``.
 
     Args:
         path: the file.
         env: the environment it will act in.
-        name: what tables call it; by default the path.
         device: where its networks run: ``auto`` (a GPU where there is one), ``cpu``, ``cuda``,
             ``cuda:N`` or ``mps``.
 
@@ -69,11 +56,11 @@ def load_policy(
     if header.algo == GREEDY:
         known = {key: channels_first(env)[key] for key in header.observation_space}
         agent = load_agent(header, spaces.Dict(known), weights, f"agent file {path}", place)
-        return GreedyPolicy(agent, header, env, name or os.fspath(path))
+        return GreedyPolicy(agent, header, env)
     policy = _build(header, env)
     check_tensors(weights, policy.state_dict(), f"agent file {path}")
     policy.load_state_dict(weights)
-    return TrainedPolicy(policy.to(place), header, name or os.fspath(path))
+    return TrainedPolicy(policy.to(place))
 
 
 def channels_first(env: gym.Env) -> spaces.Dict:
@@ -96,12 +83,12 @@ def channels_first(env: gym.Env) -> spaces.Dict:
 
 
 def _build(header: AgentHeader, env: gym.Env) -> BasePolicy:
-    turned = channels_first(env)
-    policy_class: Any = ALGORITHMS[header.algo].policy_aliases["MultiInputPolicy"]
+    space = channels_first(env)
+    policy_class: Any = ALGORITHMS[header.algo].policy_aliases[POLICY_CLASS]
     with torch.random.fork_rng(devices=[]):  # its first random weights are not the caller's draws
         try:
             policy = policy_class(
-                turned, env.action_space, lambda _: 0.0, **policy_kwargs(header.hyperparameters)
+                space, env.action_space, lambda _: 0.0, **policy_kwargs(header.hyperparameters)
             )
         except (TypeError, AttributeError, AssertionError) as error:
             raise ValueError(

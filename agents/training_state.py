@@ -1,14 +1,15 @@
-"""All that an SB3 trainer needs to go on from where it was, as named tensors and plain counters.
+"""All that an SB3 trainer needs to resume from where it was, as named tensors and plain counters.
 
-Networks, optimizer moments, the temperature of SAC, the replay buffer and the counters are saved.
-Random generators are not: training restarts every one of them from (seed, steps) at each
-checkpoint (see `restart`), whether it was killed there or not. So a run that was killed and resumed
-ends with the same weights, bit for bit on the same machine, as one that was not.
+SB3 saves a replay buffer as a pickle, which runs code when it is loaded, so its arrays are stored
+here. Random generators are not saved: training restarts every one of them from (seed, steps) at
+each checkpoint (see `restart`), whether it was killed there or not. So a run that was killed and
+resumed ends with the same weights, bit for bit on the same machine, as one that was not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -46,17 +47,18 @@ def counters(model: BaseAlgorithm) -> dict[str, float]:
 
 def state_tensors(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
     """Networks (``policy/``), optimizers, variables and replay buffer as named tensors."""
-    tensors = {f"policy/{key}": value for key, value in model.policy.state_dict().items()}
-    for name, optimizer in _optimizers(model).items():
-        for index, entries in optimizer.state_dict()["state"].items():
-            for key, value in entries.items():
+    tensors = _variables(model)
+    for name, state in model.get_parameters().items():
+        if name == "policy":
+            tensors |= {f"policy/{key}": value for key, value in state.items()}
+            continue
+        for index, moments in state["state"].items():
+            for key, value in moments.items():
                 tensors[f"optimizer/{name}/{index}/{key}"] = torch.as_tensor(value, device="cpu")
-    for name in _variables(model):
-        tensors[f"variable/{name}"] = getattr(model, name)
     buffer = getattr(model, "replay_buffer", None)
     if buffer is not None:
-        for name, array in _replay_arrays(buffer).items():
-            tensors[f"replay/{name}"] = torch.from_numpy(array[: buffer.size()])
+        arrays = _replay_arrays(buffer, buffer.size())
+        tensors |= {f"replay/{name}": torch.from_numpy(array) for name, array in arrays.items()}
         tensors["replay/position"] = torch.tensor(buffer.pos, device="cpu")
     return tensors
 
@@ -69,19 +71,28 @@ def restore_state(
     Raises:
         ValueError: if something is missing or of the wrong shape.
     """
-    networks = subset(tensors, "policy/")
-    check_tensors(networks, model.policy.state_dict(), "checkpoint's policy")
     missing = sorted(set(counters(model)) - set(values))
     if missing:
         raise ValueError(f"checkpoint's counters lack {', '.join(missing)}")
-    model.policy.load_state_dict(networks)
-    for name, optimizer in _optimizers(model).items():
-        _restore_optimizer(optimizer, subset(tensors, f"optimizer/{name}/"), name)
-    variables = subset(tensors, "variable/")
-    expected = {name: getattr(model, name) for name in _variables(model)}
-    check_tensors(variables, expected, "checkpoint's variables")
-    for name, variable in expected.items():
-        variable.data.copy_(variables[name])
+    variables = _variables(model)
+    check_tensors(subset(tensors, "variable/"), subset(variables, "variable/"), "checkpoint")
+    states: dict[str, Any] = {"policy": subset(tensors, "policy/")}
+    check_tensors(states["policy"], model.policy.state_dict(), "checkpoint's policy")
+    for name, state in model.get_parameters().items():
+        if name != "policy":
+            moments: dict[int, dict[str, torch.Tensor]] = {}
+            for key, tensor in subset(tensors, f"optimizer/{name}/").items():
+                index, _, entry = key.partition("/")
+                moments.setdefault(int(index), {})[entry] = tensor
+            states[name] = state | {"state": moments}
+    model.set_parameters(states)
+    for name in states.keys() - {"policy"}:
+        for parameter, entries in attrgetter(name)(model).state.items():
+            shape = getattr(parameter, "shape", None)  # an unknown parameter stays a number
+            if any(tensor.ndim and tensor.shape != shape for tensor in entries.values()):
+                raise ValueError(f"checkpoint's {name} has an entry of the wrong shape")
+    for name, variable in variables.items():
+        variable.data.copy_(tensors[name])
     buffer = getattr(model, "replay_buffer", None)
     if buffer is not None:
         _restore_replay(buffer, subset(tensors, "replay/"))
@@ -89,60 +100,30 @@ def restore_state(
         setattr(model, name, values[name])
 
 
-def _optimizers(model: BaseAlgorithm) -> dict[str, torch.optim.Optimizer]:
-    """The optimizers by SB3's names, such as ``policy.optimizer`` or ``actor.optimizer``."""
-    found: dict[str, Any] = {}
-    for name in model._get_torch_save_params()[0]:
-        part: Any = model
-        for attribute in name.split("."):
-            part = getattr(part, attribute)
-        if isinstance(part, torch.optim.Optimizer):
-            found[name] = part
-    return found
+def _variables(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
+    """What is learned beside the networks: the temperature of SAC, where it is learned."""
+    temperature = getattr(model, "log_ent_coef", None)
+    return {} if temperature is None else {"variable/log_ent_coef": temperature}
 
 
-def _variables(model: BaseAlgorithm) -> list[str]:
-    return list(model._get_torch_save_params()[1])
-
-
-def _restore_optimizer(
-    optimizer: torch.optim.Optimizer, tensors: Mapping[str, torch.Tensor], name: str
-) -> None:
-    parameters = [item for group in optimizer.param_groups for item in group["params"]]
-    state: dict[int, dict[str, torch.Tensor]] = {}
-    for key, tensor in tensors.items():
-        index, _, entry = key.partition("/")
-        if not index.isdigit() or int(index) >= len(parameters):
-            raise ValueError(f"checkpoint's {name} has an unknown entry {key}")
-        if tensor.ndim and tensor.shape != parameters[int(index)].shape:
-            raise ValueError(f"checkpoint's {name} has an entry of the wrong shape: {key}")
-        state[int(index)] = {**state.get(int(index), {}), entry: tensor}
-    groups = optimizer.state_dict()["param_groups"]
-    optimizer.load_state_dict({"state": state, "param_groups": groups})
-
-
-def _replay_arrays(buffer: DictReplayBuffer) -> dict[str, np.ndarray]:
+def _replay_arrays(buffer: DictReplayBuffer, count: int) -> dict[str, np.ndarray]:
+    """Views of the first entries of the buffer's arrays."""
     arrays = {f"observations/{key}": value for key, value in buffer.observations.items()}
     arrays |= {f"next_observations/{key}": value for key, value in buffer.next_observations.items()}
-    return arrays | {
-        name: getattr(buffer, name) for name in ("actions", "rewards", "dones", "timeouts")
-    }
+    arrays |= {name: getattr(buffer, name) for name in ("actions", "rewards", "dones", "timeouts")}
+    return {name: array[:count] for name, array in arrays.items()}
 
 
 def _restore_replay(buffer: DictReplayBuffer, tensors: dict[str, torch.Tensor]) -> None:
-    arrays = _replay_arrays(buffer)
-    if set(tensors) != {*arrays, "position"}:
-        raise ValueError("checkpoint's replay buffer does not have the arrays of this environment")
-    position = int(tensors["position"])
-    count = len(tensors["rewards"])
+    position, count = int(tensors.pop("position", -1)), len(tensors.get("rewards", ()))
     if not 0 <= position < buffer.buffer_size or count not in (position, buffer.buffer_size):
         raise ValueError(
             f"checkpoint's replay buffer has {count} entries at position {position}, "
             f"which a buffer of {buffer.buffer_size} cannot have"
         )
-    for name, array in arrays.items():
-        stored = tensors[name].numpy()
-        if stored.shape != (count, *array.shape[1:]) or stored.dtype != array.dtype:
-            raise ValueError(f"checkpoint's replay buffer has {name} of shape {stored.shape}")
-        array[:count] = stored
+    arrays = _replay_arrays(buffer, count)
+    expected = {name: torch.from_numpy(array) for name, array in arrays.items()}
+    check_tensors(tensors, expected, "checkpoint's replay buffer")
+    for name, tensor in expected.items():
+        tensor.copy_(tensors[name])
     buffer.pos, buffer.full = position, count == buffer.buffer_size

@@ -1,45 +1,37 @@
-"""``uncertainty``: the view that tells most of what the robot knows least.
+"""``uncertainty``: the view that measures best what the robot knows least.
 
 A next best view by Fisher information, as for robots that measure points with a camera (Zhang and
 Scaramuzza, "Beyond point clouds: Fisher information field for active visual localization", ICRA
 2019; Kiciroglu et al., "ActiveMoCap", CVPR 2020, choose views by the projected covariance). Each
 keypoint is known with a covariance. A view measures its two pixel coordinates, which adds the
 information J^T R^-1 J, where J is the projection's derivative there. The view is taken that
-leaves the smallest sum of variances. It knows geometry, not what stands in the way.
+leaves the smallest sum of variances. It knows geometry, not occluders.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-import gymnasium as gym
 import numpy as np
 
 from ..pose_estimator.geometry import invert, transform
-from .view_sphere import Action, camera_poses, check_view_sphere, view_actions
+from .baselines import ViewSpherePolicy
+from .view_sphere import Action, camera_poses, view_actions
 
 PIXEL_DEVIATION = 2.0
-"""Standard deviation of a voted keypoint in a full picture, pixels; the shipped networks' is 1.5
+"""Standard deviation of a voted keypoint in a full image, pixels; the shipped networks' is 1.5
 to 3."""
 
-_NEAREST = 0.05
-_LEAST_VARIANCE = 1e-10
+_MIN_DEPTH = 0.05
+_MIN_VARIANCE = 1e-10
 
 
-class UncertaintyPolicy:
+class UncertaintyPolicy(ViewSpherePolicy):
     """Takes the view after which the keypoints' predicted covariances have the least trace.
 
     Args:
         env: an environment with a view sphere and an estimator.
     """
-
-    name = "uncertainty"
-
-    def __init__(self, env: gym.Env) -> None:
-        self._env = check_view_sphere(env)
-
-    def reset(self, rng: np.random.Generator) -> None:
-        """Nothing to do: the policy draws nothing."""
 
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
         """The view that leaves the least variance; of two alike the first.
@@ -81,12 +73,12 @@ def predicted_variance(
         Square metres.
     """
     points = transform(T_second_ref, keypoints)
-    x, y, z = points[:, 0], points[:, 1], np.maximum(points[:, 2], _NEAREST)
+    x, y, z = points[:, 0], points[:, 1], np.maximum(points[:, 2], _MIN_DEPTH)
     J = np.zeros((len(points), 2, 3))
     J[:, 0, 0], J[:, 0, 2] = K[0, 0] / z, -K[0, 0] * x / z**2
     J[:, 1, 1], J[:, 1, 2] = K[1, 1] / z, -K[1, 1] * y / z**2
     J = J @ T_second_ref[:3, :3]
-    floor = _LEAST_VARIANCE * np.eye(3)
+    floor = _MIN_VARIANCE * np.eye(3)
     prior = np.linalg.inv(np.nan_to_num(covariance) + floor)
     posterior = np.linalg.inv(prior + J.transpose(0, 2, 1) @ J / deviation**2)
     return float(np.trace(posterior, axis1=1, axis2=2).sum())

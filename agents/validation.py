@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import functools
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
+from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import DummyVecEnv, VecTransposeImage
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecTransposeImage
 
-from .checkpoint import AgentHeader, write_agent
+from .checkpoint import AgentHeader, describe_space, write_agent
 from .config import TrainAgentConfig
 
 POLICY = "policy.safetensors"
@@ -26,14 +27,16 @@ def record_missing(config: TrainAgentConfig) -> None:
     """Records the banks of the configuration that do not exist."""
     from ..envs.record_bank import RecordBankConfig, record_bank
 
-    if config.bank is not None and not config.bank.exists():
-        record_bank(RecordBankConfig(out=config.bank, scenes=1000, seed=101, device=config.device))
-    if config.more_scenes is not None and not config.more_scenes.exists():
-        record_bank(
-            RecordBankConfig(
-                out=config.more_scenes, scenes=2500, seed=303, answers=False, device=config.device
+    for path, scenes, seed, answers in (
+        (config.bank, 1000, 101, True),
+        (config.visibility_bank, 2500, 303, False),
+    ):
+        if path is not None and not path.exists():
+            record_bank(
+                RecordBankConfig(
+                    out=path, scenes=scenes, seed=seed, answers=answers, device=config.device
+                )
             )
-        )
 
 
 def split_bank(config: TrainAgentConfig) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -55,26 +58,25 @@ def split_bank(config: TrainAgentConfig) -> tuple[dict[str, Any], dict[str, Any]
     return {"scenes": (0, kept), "mirror": True}, {"scenes": (kept, scenes), "in_turn": True}
 
 
-class _Best(BaseCallback):
-    """Writes the policy that has just been found the best one."""
-
-    def __init__(self, header: AgentHeader, out: Path) -> None:
-        super().__init__()
-        self._header, self._out = header, out
-
-    def _on_step(self) -> bool:
-        assert isinstance(self.parent, EvalCallback)
-        self.model.best_mean_reward = float(self.parent.best_mean_reward)  # type: ignore[attr-defined]
-        save_policy(self.model, self._header, self._out)
-        return True
-
-
 class _Validation(EvalCallback):
-    """SB3's, which also knows what an earlier part of the run has reached."""
+    """SB3's, which writes the best policy, and knows what an earlier part of the run reached."""
+
+    model: Any  # with `best_mean_reward`, which checkpoints hold
+
+    def __init__(self, venv: VecEnv, header: AgentHeader, out: Path, **settings: Any) -> None:
+        super().__init__(venv, **settings)
+        self._header, self._out = header, out
 
     def _init_callback(self) -> None:
         super()._init_callback()
-        self.best_mean_reward = self.model.best_mean_reward  # type: ignore[attr-defined]
+        self.best_mean_reward = self.model.best_mean_reward
+
+    def _on_step(self) -> bool:
+        result = super()._on_step()
+        if self.best_mean_reward > self.model.best_mean_reward:
+            self.model.best_mean_reward = self.best_mean_reward
+            save_policy(self.model, self._header, self._out)
+        return result
 
 
 def make_validation(
@@ -84,7 +86,8 @@ def make_validation(
     make = functools.partial(make_env, config.env_id, arguments)
     return _Validation(
         VecTransposeImage(make_vec_env(make, n_envs=1, seed=config.seed, vec_env_cls=DummyVecEnv)),
-        callback_on_new_best=_Best(header, config.out),
+        header,
+        config.out,
         n_eval_episodes=config.validation,
         eval_freq=max(1, config.evaluate_every // n_envs),
         deterministic=True,
@@ -96,6 +99,39 @@ def save_policy(model: BaseAlgorithm, header: AgentHeader, out: Path) -> None:
     """Writes the policy as it is now into ``out``."""
     weights = {f"policy/{key}": value for key, value in model.policy.state_dict().items()}
     write_agent(out / POLICY, replace(header, steps=model.num_timesteps), weights, half=True)
+
+
+def make_header(
+    config: TrainAgentConfig,
+    hyperparameters: dict[str, Any],
+    env: gym.Env | VecEnv,
+    n_envs: int = 1,
+    steps: int = 0,
+) -> AgentHeader:
+    """What identifies the run, as plain data.
+
+    Raises:
+        ValueError: if the environment's arguments are not plain data.
+    """
+    try:
+        env_kwargs = json.loads(json.dumps(config.environment_arguments))
+    except TypeError as error:
+        raise ValueError(
+            f"the environment's arguments must be plain data to be saved with the agent, "
+            f"got {config.environment_arguments}: {error}"
+        ) from error
+    return AgentHeader(
+        algo=config.algo,
+        env=config.env_id,
+        env_kwargs=env_kwargs,
+        hyperparameters=hyperparameters,
+        n_envs=n_envs,
+        seed=config.seed,
+        checkpoint_every=config.checkpoint_every,
+        steps=steps,
+        observation_space=describe_space(env.observation_space),
+        action_space=describe_space(env.action_space),
+    )
 
 
 def make_env(env_id: str, arguments: dict[str, Any]) -> gym.Env:

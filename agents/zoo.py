@@ -11,19 +11,12 @@ SB3 takes.
 
 from __future__ import annotations
 
-from typing import Any
-
 import yaml
 
-from .hyperparameters import SHIPPED, load_hyperparameters, policy_kwargs
-
-
-def _entry(env_id: str) -> dict[str, Any]:
-    return load_hyperparameters("ppo", env_id) | {
-        "policy_kwargs": policy_kwargs(load_hyperparameters("ppo", env_id))
-    }
-
+from .algorithms import policy_kwargs
+from .hyperparameters import SHIPPED, load_hyperparameters
 
 hyperparams = {
-    env_id: _entry(env_id) for env_id in yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))["ppo"]
+    env_id: (entry := load_hyperparameters("ppo", env_id)) | {"policy_kwargs": policy_kwargs(entry)}
+    for env_id in yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))["ppo"]
 }

@@ -88,7 +88,7 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         if not self.bank.answered:
             raise ValueError(
                 "bank holds no answers of an estimator (it was recorded with --no-answers): such a "
-                "bank serves only to train agents with --algo greedy --more-scenes"
+                "bank serves only to train agents with --algo greedy --visibility-bank"
             )
         first, end = (0, len(self.bank)) if scenes is None else scenes
         if not 0 <= first < end <= len(self.bank):

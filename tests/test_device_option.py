@@ -76,6 +76,6 @@ def test_environments_are_made_with_it(tmp_path: Path) -> None:
 def test_missing_banks_are_recorded_on_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[RecordBankConfig] = []
     monkeypatch.setattr(record_bank, "record_bank", asked.append)
-    banks = {"bank": tmp_path / "a.npz", "more_scenes": tmp_path / "b.npz"}
+    banks = {"bank": tmp_path / "a.npz", "visibility_bank": tmp_path / "b.npz"}
     record_missing(TrainAgentConfig("greedy", device="cuda:1", **banks))
     assert [config.device for config in asked] == ["cuda:1", "cuda:1"]

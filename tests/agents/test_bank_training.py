@@ -32,8 +32,7 @@ ppo:
     learning_rate: 1.0e-3
     policy_kwargs: &networks
       net_arch: [16]
-      features_extractor_class: {extractor}
-      features_extractor_kwargs: {{width: 4, features_dim: 16}}
+      {extractor}
 sac:
   TwoViewPoseReplay-v0:
     n_envs: 4
@@ -46,12 +45,17 @@ greedy:
 """
 
 
+COMBINED = "features_extractor_kwargs: {cnn_output_dim: 16}"  # SB3's own extractor
+CANDIDATES = """features_extractor_class: CandidateExtractor
+      features_extractor_kwargs: {width: 4, features_dim: 16}"""
+
+
 @pytest.fixture
 def config(make_bank: Make, tmp_path: Path) -> Callable[..., TrainAgentConfig]:
     write_bank(tmp_path / "bank.npz", make_bank(30))
 
-    def make(extractor: str = "ViewExtractor", out: str = "agent", **fields: Any) -> Any:
-        path = tmp_path / f"{extractor}.yml"
+    def make(extractor: str = COMBINED, out: str = "agent", **fields: Any) -> Any:
+        path = tmp_path / f"{out}.yml"
         path.write_text(HYPERPARAMETERS.format(extractor=extractor))
         defaults: dict[str, Any] = {
             "bank": tmp_path / "bank.npz", "validation": 6, "evaluate_every": 128, "steps": 384,
@@ -115,7 +119,7 @@ def test_a_learner_is_told_what_a_greedy_agent_sees(
     config: Callable[..., TrainAgentConfig],
 ) -> None:
     greedy = train_agent(config(algo="greedy", out="greedy"))
-    path = train_agent(config("CandidateExtractor", out="ppo", init=greedy))
+    path = train_agent(config(CANDIDATES, out="ppo", pretrained_extractor=greedy))
     _, weights = read_agent(path, prefix="policy/")
     _, before = read_agent(greedy, prefix="policy/networks.0.")
     for key, value in before.items():
@@ -124,8 +128,8 @@ def test_a_learner_is_told_what_a_greedy_agent_sees(
     env = gym.make("two_view_pose:TwoViewPoseReplay-v0", bank=str(config().bank))
     observation, _ = env.reset(seed=0)
     assert env.action_space.contains(make_policy(path, env).act(observation))
-    with pytest.raises(ValueError, match="init needs an agent of --algo greedy"):
-        train_agent(config("ViewExtractor", out="other", init=greedy))
+    with pytest.raises(ValueError, match="pretrained_extractor needs an agent of --algo greedy"):
+        train_agent(config(out="other", pretrained_extractor=greedy))
 
 
 def test_candidates_are_found_from_the_observation_alone(make_bank: Make) -> None:

@@ -18,7 +18,6 @@ ENVS = ("toy_env:ToySphere-v0", "toy_env:ToySphereDiscrete-v0")
 def test_actions_are_valid(env_id: str, name: str) -> None:
     env = gym.make(env_id)
     policy = make_policy(name, env)
-    assert policy.name == name
     for seed in range(30):
         observation, _ = env.reset(seed=seed)
         policy.reset(np.random.default_rng(seed))

@@ -8,9 +8,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from two_view_pose.agents.algorithms import GreedyHyperparameters
 from two_view_pose.agents.config import TrainAgentConfig
 from two_view_pose.agents.greedy import GreedyPolicy
-from two_view_pose.agents.hyperparameters import GreedyHyperparameters
 from two_view_pose.agents.imitation import chosen_slots, train_agent_networks
 from two_view_pose.agents.policies import make_policy
 from two_view_pose.agents.train import train_agent

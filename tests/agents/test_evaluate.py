@@ -10,11 +10,10 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from scipy.stats import binomtest
 from two_view_pose.agents.checkpoint import read_agent, write_agent
 from two_view_pose.agents.config import EvaluateAgentConfig, TrainAgentConfig
 from two_view_pose.agents.evaluate import evaluate_agents, run_episodes, seeded_scenes
-from two_view_pose.agents.outcomes import STAY, wilson
+from two_view_pose.agents.outcomes import STAY
 from two_view_pose.agents.policies import make_policy
 from two_view_pose.agents.train import train_agent
 from two_view_pose.pose_estimator.results import check_record, read_results
@@ -81,12 +80,6 @@ def test_results_file_and_table(tmp_path: Path, capsys: pytest.CaptureFixture[st
         mean = sum(r["value"] * r["n"] for r in errors) / 20
         assert mean == pytest.approx(chosen[1]["value"])
     assert evaluate_agents(config) == records
-
-
-def test_the_interval_is_wilsons() -> None:
-    for successes, n in ((0, 5), (3, 10), (40, 40)):
-        expected = binomtest(successes, n).proportion_ci(method="wilson")
-        assert wilson(successes, n) == pytest.approx((successes / n, *expected), abs=1e-6)
 
 
 def test_a_trained_file_beside_the_baselines(

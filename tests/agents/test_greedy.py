@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 import torch
 from made_bank import made_bank
+from two_view_pose.agents.algorithms import GreedyHyperparameters
 from two_view_pose.agents.checkpoint import read_agent, write_agent
 from two_view_pose.agents.config import TrainAgentConfig
 from two_view_pose.agents.evaluate import run_episodes
 from two_view_pose.agents.greedy import GreedyPolicy
-from two_view_pose.agents.hyperparameters import GreedyHyperparameters
-from two_view_pose.agents.imitation import Lessons, chosen_slots, train_agent_networks
+from two_view_pose.agents.imitation import ErrorDataset, chosen_slots, train_agent_networks
 from two_view_pose.agents.policies import make_policy
-from two_view_pose.agents.predictor import LINE_POINTS, crop_spans
+from two_view_pose.agents.predictor import LINE_POINTS, crop_widths
 from two_view_pose.agents.train import POLICY, train_agent
 from two_view_pose.agents.trained import channels_first
 from two_view_pose.envs.carrier import camera_centre
@@ -72,14 +72,14 @@ def test_lines_of_sight_are_where_they_are_seen(make_bank: Make) -> None:
     bank = make_bank(6)
     space = channels_first(gym.make(REPLAY, bank=bank))
     agent = train_agent_networks(bank, space, replace(QUICK, epochs=1), 0, False)
-    observations, views = Lessons.of(bank).batch(torch.arange(6))
+    observations, views = ErrorDataset.of(bank).batch(torch.arange(6))
     places = agent.networks[0].line_of_sight(observations, views).numpy()
-    spans = crop_spans(bank.header.diameters)
+    widths = crop_widths(bank.header.diameters)
     for scene in range(6):
         T, centre, K = bank.T_cam_world[scene], bank.centre[scene], bank.K[scene]
         middle = project(transform(T, centre[None]), K)[0]
         depth = float(transform(T, centre[None])[0, 2])
-        half = spans[int(bank.object_index[scene])] * K[0, 0] / depth / 2
+        half = widths[int(bank.object_index[scene])] * K[0, 0] / depth / 2
         for slot in (0, 7, 16):
             way = camera_centre(bank.second_T_cam_world[scene, slot]) - centre
             points = centre + np.outer(LINE_POINTS, way / np.linalg.norm(way))
@@ -87,9 +87,9 @@ def test_lines_of_sight_are_where_they_are_seen(make_bank: Make) -> None:
             np.testing.assert_allclose(places[scene, slot], expected, atol=0.03)
 
 
-def test_a_mirrored_lesson_is_the_same_lesson(make_bank: Make) -> None:
+def test_a_mirrored_scene_has_the_same_targets(make_bank: Make) -> None:
     bank = make_bank(5)
-    plain, mirrored = Lessons.of(bank), Lessons.of(bank, mirrored=True)
+    plain, mirrored = ErrorDataset.of(bank), ErrorDataset.of(bank, mirrored=True)
     assert torch.equal(mirrored.observations["image"], plain.observations["image"].flip(3))
     signs = torch.tensor([1, -1, 1, 1, 1, -1, 1, 1, -1, 1, 1], dtype=torch.float32)
     torch.testing.assert_close(mirrored.views, plain.views * signs, atol=1e-5, rtol=0)
@@ -113,16 +113,17 @@ def test_the_policy_takes_what_its_networks_predict(trained: tuple[Path, ViewBan
     np.testing.assert_allclose(info["T_cam_world"], bank.second_T_cam_world[2, slots[2]])
 
 
-def test_the_judge_knows_right_from_wrong(trained: tuple[Path, ViewBank]) -> None:
+def test_the_classifier_knows_right_from_wrong(trained: tuple[Path, ViewBank]) -> None:
     path, bank = trained
     policy = make_policy(path, gym.make(REPLAY, bank=bank))
     first = {key: array[3] for key, array in bank.first.items()}
-    sure = []
+    confidence = []
     for slot in range(24):
         now = first | {key: array[3, slot] for key, array in bank.second.items()}
-        sure.append(policy._agent.sureness(first, now))
+        confidence.append(policy._agent.confidence(first, now))
     right = bank.second_error[3] < 0.1
-    assert min(np.array(sure)[right]) > 0.8 and max(np.array(sure)[~right]) < 0.2
+    found = np.array(confidence)
+    assert min(found[right]) > 0.8 and max(found[~right]) < 0.2
 
 
 def test_a_file_that_does_not_fit_is_refused(

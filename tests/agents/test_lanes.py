@@ -1,4 +1,4 @@
-"""Lanes for Stable-Baselines3 against its own vector environment of single ones."""
+"""Sub-environments of one estimator against SB3's own vector environment of single ones."""
 
 from __future__ import annotations
 
@@ -10,21 +10,27 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from two_view_pose.agents.config import TrainAgentConfig
-from two_view_pose.agents.lanes import LanesVecEnv, has_lanes, make_lanes
+from two_view_pose.agents.lanes import (
+    SharedEstimatorVecEnv,
+    has_vector_env,
+    make_sub_environments,
+)
 from two_view_pose.agents.train import train_agent
 
 SMALL = {"objects": ("duck", "cat"), "estimator": None, "resolution": (120, 160), "image_size": 36}
 
 
 @pytest.fixture
-def make() -> Iterator[Callable[..., LanesVecEnv]]:
+def make() -> Iterator[Callable[..., VecEnv]]:
     made = []
 
-    def build(env_id: str = "TwoViewPose-v0", lanes: int = 2, **kwargs: Any) -> LanesVecEnv:
-        vector = gym.make_vec(env_id, num_envs=lanes, **{"workers": 0, **SMALL, **kwargs})
-        made.append(LanesVecEnv(vector))
+    def build(
+        env_id: str = "TwoViewPose-v0", n_envs: int = 2, **kwargs: Any
+    ) -> SharedEstimatorVecEnv:
+        vector = gym.make_vec(env_id, num_envs=n_envs, **{"workers": 0, **SMALL, **kwargs})
+        made.append(SharedEstimatorVecEnv(vector))
         return made[-1]
 
     yield build
@@ -46,8 +52,8 @@ def check_equal(one: Any, other: Any) -> None:
 
 
 @pytest.mark.parametrize("env_id", ["TwoViewPose-v0", "TwoViewPoseDiscrete-v0"])
-def test_lanes_are_single_environments_in_turn(
-    env_id: str, make: Callable[..., LanesVecEnv]
+def test_they_answer_as_single_environments_in_turn(
+    env_id: str, make: Callable[..., VecEnv]
 ) -> None:
     ours = make(env_id)
     theirs = DummyVecEnv([lambda: gym.make(env_id, **SMALL)] * 2)
@@ -70,8 +76,10 @@ def test_lanes_are_single_environments_in_turn(
     theirs.close()
 
 
-def test_attributes_and_methods_of_chosen_lanes(make: Callable[..., LanesVecEnv]) -> None:
-    env = make(lanes=3, render_mode="rgb_array")
+def test_attributes_and_methods_of_chosen_sub_environments(
+    make: Callable[..., VecEnv],
+) -> None:
+    env = make(n_envs=3, render_mode="rgb_array")
     env.seed(0)
     env.reset()
     names = env.get_attr("object_name")
@@ -80,11 +88,11 @@ def test_attributes_and_methods_of_chosen_lanes(make: Callable[..., LanesVecEnv]
     assert env.get_attr("note", [0, 2]) == ["seen"] * 2 and not env.has_attr("note")
     assert [p.shape for p in env.env_method("figure", indices=[2])] == [(664, 1360, 3)]
     assert env.env_is_wrapped(Monitor) == [False] * 3
-    picture = env.render()
-    assert picture is not None and picture.shape == (2 * 664, 2 * 1360, 3)
+    image = env.render()
+    assert image is not None and image.shape == (2 * 664, 2 * 1360, 3)
 
 
-def test_lanes_share_their_options(make: Callable[..., LanesVecEnv]) -> None:
+def test_options_are_shared(make: Callable[..., VecEnv]) -> None:
     env = make()
     env.set_options([{"object": "duck"}, {"object": "cat"}])
     with pytest.raises(ValueError, match="options must be the same"):
@@ -94,7 +102,7 @@ def test_lanes_share_their_options(make: Callable[..., LanesVecEnv]) -> None:
 def test_environments_that_reset_a_step_late_are_refused() -> None:
     vector = gym.make_vec("CartPole-v1", num_envs=2, vectorization_mode="sync")
     with pytest.raises(ValueError, match="autoreset_mode"):
-        LanesVecEnv(vector)
+        SharedEstimatorVecEnv(vector)
     vector.close()
 
 
@@ -102,17 +110,19 @@ def test_a_vector_environment_without_single_ones_is_refused() -> None:
     vector = gym.make_vec("CartPole-v1", num_envs=2, vectorization_mode="vector_entry_point")
     vector.metadata = {**vector.metadata, "autoreset_mode": gym.vector.AutoresetMode.SAME_STEP}
     with pytest.raises(ValueError, match="envs"):
-        LanesVecEnv(vector)
+        SharedEstimatorVecEnv(vector)
     vector.close()
 
 
-def test_which_environments_have_lanes() -> None:
-    assert has_lanes("TwoViewPose-v0") and has_lanes("two_view_pose:TwoViewPoseDiscrete-v0")
-    assert not has_lanes("TwoViewPoseSequential-v0") and not has_lanes("CartPole-v1")
+def test_which_environments_have_a_vector_environment() -> None:
+    assert has_vector_env("TwoViewPose-v0") and has_vector_env(
+        "two_view_pose:TwoViewPoseDiscrete-v0"
+    )
+    assert not has_vector_env("TwoViewPoseSequential-v0") and not has_vector_env("CartPole-v1")
 
 
 def test_episodes_are_counted_for_the_trainer() -> None:
-    env = make_lanes("TwoViewPose-v0", 2, {"workers": 0, **SMALL})
+    env = make_sub_environments("TwoViewPose-v0", 2, {"workers": 0, **SMALL})
     env.seed(0)
     env.reset()
     _, rewards, done, infos = env.step(np.zeros((2, 3), np.float32))
@@ -122,7 +132,7 @@ def test_episodes_are_counted_for_the_trainer() -> None:
     env.close()
 
 
-def test_training_in_lanes_goes_on_to_the_same_weights(tmp_path: Path) -> None:
+def test_resumed_training_ends_with_the_same_weights(tmp_path: Path) -> None:
     yml = tmp_path / "hyperparameters.yml"
     yml.write_text(
         "ppo:\n  TwoViewPose-v0:\n    n_envs: 2\n    n_steps: 4\n    batch_size: 8\n"

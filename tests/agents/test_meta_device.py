@@ -16,13 +16,11 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
+from two_view_pose.agents.algorithms import GreedyHyperparameters
 from two_view_pose.agents.candidates import CandidateExtractor
 from two_view_pose.agents.config import TrainAgentConfig
-from two_view_pose.agents.extractor import ViewExtractor
 from two_view_pose.agents.greedy import GreedyAgent, GreedyPolicy, to_tensors
-from two_view_pose.agents.hyperparameters import GreedyHyperparameters
-from two_view_pose.agents.imitation import Lessons, _epochs, chosen_slots, train_agent_networks
-from two_view_pose.agents.judge import Judge, judge_inputs, train_judge
+from two_view_pose.agents.imitation import chosen_slots, train_agent_networks
 from two_view_pose.agents.policies import make_policy
 from two_view_pose.agents.train import train_agent
 from two_view_pose.agents.trained import channels_first
@@ -58,9 +56,8 @@ def test_the_default_is_noticed() -> None:
         torch.from_numpy(np.ones(2)) + torch.zeros(2)
 
 
-@pytest.mark.parametrize("kind", [ViewExtractor, CandidateExtractor])
-def test_extractors(kind: Any, bank: ViewBank, space: spaces.Dict) -> None:
-    extractor = kind(space).eval()
+def test_extractor(bank: ViewBank, space: spaces.Dict) -> None:
+    extractor = CandidateExtractor(space).eval()
     observations = to_tensors(bank.first, torch.device("cpu"))
     with torch.inference_mode():
         expected = extractor(observations)
@@ -75,20 +72,20 @@ def test_greedy_acts(bank: ViewBank) -> None:
     agent = GreedyAgent(channels_first(env), QUICK).eval()
     observation, _ = env.reset(seed=0)
     header = _header(env)
-    expected = GreedyPolicy(agent, header, env, "greedy").predict(observation)
+    expected = GreedyPolicy(agent, header, env).predict(observation)
     slots = chosen_slots(agent, bank)
     with meta_by_default():
-        policy = GreedyPolicy(agent, header, env, "greedy")
+        policy = GreedyPolicy(agent, header, env)
         np.testing.assert_array_equal(policy.predict(observation), expected)
         assert env.action_space.contains(policy.act(observation))
-        assert 0 < agent.sureness(observation, observation) < 1
+        assert 0 < agent.confidence(observation, observation) < 1
         np.testing.assert_array_equal(chosen_slots(agent, bank), slots)
 
 
 def test_greedy_takes_its_inputs_to_the_networks(bank: ViewBank) -> None:
     env = gym.make(REPLAY, bank=bank)
     agent = GreedyAgent(channels_first(env), QUICK).eval().to(META)
-    policy = GreedyPolicy(agent, _header(env), env, "greedy")
+    policy = GreedyPolicy(agent, _header(env), env)
     observation, _ = env.reset(seed=0)
     # All but the way back, since there are no numbers to bring.
     for ask in (
@@ -98,7 +95,7 @@ def test_greedy_takes_its_inputs_to_the_networks(bank: ViewBank) -> None:
         with pytest.raises(NotImplementedError, match="Cannot copy out of meta tensor"):
             ask()
     with pytest.raises(RuntimeError, match=r"item\(\) cannot be called on meta tensors"):
-        agent.sureness(observation, observation)
+        agent.confidence(observation, observation)
 
 
 @pytest.mark.parametrize("name", ["greedy", "ppo"])
@@ -114,7 +111,7 @@ def test_shipped_agents_act(name: str) -> None:
     env.close()
 
 
-def test_imitation(bank: ViewBank, space: spaces.Dict) -> None:
+def test_supervised_training(bank: ViewBank, space: spaces.Dict) -> None:
     expected = train_agent_networks(bank, space, QUICK, 3, False, bank).state_dict()
     with meta_by_default():
         found = train_agent_networks(bank, space, QUICK, 3, False, bank).state_dict()
@@ -122,16 +119,11 @@ def test_imitation(bank: ViewBank, space: spaces.Dict) -> None:
         assert torch.equal(value, found[key]), key
 
 
-def test_imitation_takes_its_lessons_to_the_networks(bank: ViewBank, space: spaces.Dict) -> None:
-    agent = GreedyAgent(space, QUICK).to(META)
-    lessons = tuple(Lessons.of(bank, mirrored, META) for mirrored in (False, True))
-    more = tuple(lesson.and_more(lesson) for lesson in lessons)
-    network: Any = agent.networks[0]
-    (loss,) = _epochs(network, more, QUICK, np.random.default_rng(0))
-    assert loss.device.type == "meta" and loss.shape == ()
-    judge = Judge(judge_inputs(3)).to(META)
-    train_judge(judge, bank, np.random.default_rng(0))
-    assert next(judge.parameters()).device.type == "meta"
+def test_supervised_training_takes_its_datasets_to_the_networks(
+    bank: ViewBank, space: spaces.Dict
+) -> None:
+    agent = train_agent_networks(bank, space, QUICK, 3, False, bank, META)
+    assert {parameter.device.type for parameter in agent.parameters()} == {"meta"}
 
 
 def test_a_replay_buffer_is_saved_from_the_processor(

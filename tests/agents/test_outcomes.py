@@ -81,6 +81,20 @@ def test_bins_of_visibility() -> None:
     assert not [r for r in records if "against" in r]
 
 
+@pytest.mark.parametrize(
+    ("successes", "n", "low", "high"),
+    [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611)],
+)
+def test_the_interval_of_a_recall(successes: int, n: int, low: float, high: float) -> None:
+    """Newcombe, "Two-sided confidence intervals for the single proportion", 1998, table I."""
+    rows = outcomes([0.05] * successes + [0.5] * (n - successes))
+    found = find(
+        make_records({"stay": rows}, "heap"), metric="add_s_recall", object="mean", visibility=None
+    )
+    assert (found["low"], found["high"]) == pytest.approx((low, high), abs=5e-5)
+    assert found["value"] == successes / n
+
+
 def test_large_errors_are_capped() -> None:
     records = make_records({"stay": outcomes([0.0, 7.0])}, "heap")
     capped = find(records, metric="capped_add_over_diameter", object="mean", visibility=None)

@@ -1,25 +1,13 @@
-"""The agents that ship act in the environments that they are for, and say where they come from."""
+"""The agents that ship act in the environments that they are for."""
 
 from __future__ import annotations
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from two_view_pose.agents.checkpoint import read_agent
-from two_view_pose.agents.policies import make_policy, shipped_agents
+from two_view_pose.agents.policies import make_policy
 
 RENDERED = {"estimator": None, "scene": "linemod", "resolution": (120, 160)}
-
-
-def test_their_names() -> None:
-    assert set(shipped_agents()) == {"greedy", "ppo"}
-
-
-@pytest.mark.parametrize("name", sorted(shipped_agents()))
-def test_their_headers(name: str) -> None:
-    header, _ = read_agent(shipped_agents()[name])
-    assert header.env == "TwoViewPoseReplay-v0" and header.commit
-    assert header.env_kwargs == {"bank": "data/banks/train.npz", "action": "discrete"}
 
 
 @pytest.mark.parametrize(
