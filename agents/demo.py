@@ -1,4 +1,4 @@
-"""The verb ``demo``: one episode from end to end, as numbers and as a picture."""
+"""The command ``demo``: one episode from end to end, as numbers and as an image."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class DemoConfig:
     """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
     `cuda:N` or `mps`."""
     out: Path = Path("demo.png")
-    """Where the picture goes."""
+    """File for the image."""
     json: Path | None = None
     """File for machine-readable results."""
 
@@ -52,7 +52,7 @@ class DemoConfig:
 
 
 def demo(config: DemoConfig) -> None:
-    """Plays one episode, prints the error of the pose before and after, and writes the picture.
+    """Plays one episode, prints the error of the pose before and after, and writes the image.
 
     Raises:
         ValueError: if an option is wrong, there is no such device, or the weights are missing.
@@ -77,9 +77,9 @@ def demo(config: DemoConfig) -> None:
         frame: Any = env.render()
     finally:
         env.close()
-    picture = io.BytesIO()
-    Image.fromarray(frame).save(picture, format="png")
-    write_atomically(config.out, picture.getvalue())
+    image = io.BytesIO()
+    Image.fromarray(frame).save(image, format="png")
+    write_atomically(config.out, image.getvalue())
     _print(config, info, perf_counter() - started)
     if config.json is not None:
         command = f"demo --scene {config.scene} --policy {config.policy} --seed {config.seed}"
@@ -90,17 +90,14 @@ def make_records(config: DemoConfig, info: dict[str, Any]) -> list[dict[str, Any
     """The numbers of the results file; ``views`` says how many views the pose is from."""
     tags = {"object": info["object"], "scene": config.scene, "policy": config.policy}
     errors = (info["ground_truth"]["add_first"], info["ground_truth"]["add_second"])
-    records = [
-        {
-            "metric": "add_over_diameter",
-            "value": error / info["diameter"],
-            "unit": "1",
-            "views": views,
-            **tags,
-        }
-        for views, error in enumerate(errors, start=1)
+    ratios = [error / info["diameter"] for error in errors]
+    return [
+        *(
+            {"metric": "add_over_diameter", "value": ratio, "unit": "1", "views": views, **tags}
+            for views, ratio in enumerate(ratios, start=1)
+        ),
+        {"metric": "travel", "value": info["travel"], "unit": "m", **tags},
     ]
-    return [*records, {"metric": "travel", "value": info["travel"], "unit": "m", **tags}]
 
 
 def make_table(info: dict[str, Any]) -> Table:
@@ -125,11 +122,9 @@ def _print(config: DemoConfig, info: dict[str, Any], seconds: float) -> None:
     visible = 100 * info["ground_truth"]["visibility"]
     console.print(
         f"object       {info['object']}, {1e3 * info['diameter']:.0f} mm in diameter, "
-        f"{visible:.0f} % of it visible in the first view"
-    )
-    console.print(
+        f"{visible:.0f} % of it visible in the first view\n"
         f"second view  {info['baseline_deg']:.0f} degrees from the first, chosen by "
         f"{config.policy}; it moved {info['travel']:.2f} m"
     )
     console.print(make_table(info))
-    console.print(f"picture      {config.out}   ({seconds:.1f} s in all)")
+    console.print(f"image        {config.out}   ({seconds:.1f} s in all)")

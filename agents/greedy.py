@@ -3,7 +3,7 @@
 Frahm et al., "VIN-NBV: A View Introspection Network for Next-Best-View Selection" (2025), showed
 for reconstruction that imitating the gain of each candidate and being greedy beats plain
 reinforcement learning. A bank knows the outcome of every candidate of every scene, so here all of
-them teach at once, where a reinforcement learner is told of the one it took.
+them are targets at once; a reinforcement learner sees the reward of the one it took.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Error regression: the bank knows the error and the visibility after every candidate view of every
 scene, and networks learn to predict them. Success classification: the bank knows the estimate after
-every view and whether it was right, and a small network learns to tell.
+every view and whether it was right, and a small network learns to predict it.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def train_agent_networks(
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Lets torch use one thread meanwhile."""
+    """Limits torch to one thread."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

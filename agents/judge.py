@@ -1,6 +1,6 @@
 """Whether a pose is right, classified from what the robot knows: when to stop looking.
 
-A small network tells it from the keypoints' uncertainty, the detector's score, the object, the
+A small network predicts it from the keypoints' uncertainty, the detector's score, the object, the
 cameras and how far the estimate moved since the first view. In ``TwoViewPoseSequential-v0`` an
 agent stops once the probability reaches its stop threshold.
 """

@@ -48,7 +48,7 @@ class Outcome:
         visibility: visible fraction of the target in the reference view; NaN where it is not known.
         baseline_deg: angle between the reference view and the newest.
         views: second views that were taken.
-        scene: what tells scenes of one object apart; None: every outcome is of its own scene.
+        scene: identifies the scene among those of one object; None: each outcome has its own.
     """
 
     object_name: str

@@ -47,11 +47,12 @@ def view_spheres(
             f"{name}, {100 * bank.visibility[scene]:.0f} % visible", fontsize=10, color=INK
         )
         axis: Any = figure.add_subplot(rows[1, column], projection="polar")
-        dots = _draw_sphere(axis, bank, scene)
+        azimuth, elevation, reference = _places(bank, scene)
+        dots = _draw_sphere(axis, azimuth, elevation, bank.second_error[scene])
+        axis.plot(0, 90 - np.degrees(reference), "o", color="#0969da", markersize=6, zorder=4)
         for mark, policy in zip(_MARKS, names, strict=False):
             slot = _slot_of(bank, scene, outcomes[policy][scene])
             if slot is not None:
-                azimuth, elevation, _ = _places(bank, scene)
                 axis.plot(
                     azimuth[slot], 90 - np.degrees(elevation[slot]), mark, fillstyle="none",
                     color=INK, markersize=9 + 3 * _MARKS.index(mark), markeredgewidth=1.2,
@@ -66,8 +67,8 @@ def view_spheres(
     return figure
 
 
-def _draw_sphere(axis: Any, bank: ViewBank, scene: int) -> Any:
-    azimuth, elevation, reference = _places(bank, scene)
+def _draw_sphere(axis: Any, azimuth: np.ndarray, elevation: np.ndarray, error: np.ndarray) -> Any:
+    """Draws candidate views at angles (N,) in radians, colored by error over diameter (N,)."""
     axis.set_theta_zero_location("S")
     axis.set_thetalim(-np.pi / 2 - 0.1, np.pi / 2 + 0.1)
     axis.set_rlim(0, 90)
@@ -75,13 +76,10 @@ def _draw_sphere(axis: Any, bank: ViewBank, scene: int) -> Any:
     axis.set_xticks([])
     axis.grid(True, color="#e6e9ed")
     axis.spines["polar"].set_color("#d0d7de")
-    errors = np.minimum(bank.second_error[scene], 0.3)
-    dots = axis.scatter(
-        azimuth, 90 - np.degrees(elevation), c=errors, s=48, cmap="RdYlGn_r", vmin=0, vmax=0.3,
+    return axis.scatter(
+        azimuth, 90 - np.degrees(elevation), c=error, s=48, cmap="RdYlGn_r", vmin=0, vmax=0.3,
         zorder=3,
     )  # fmt: skip
-    axis.plot(0, 90 - np.degrees(reference), "o", color="#0969da", markersize=6, zorder=4)
-    return dots
 
 
 def _places(bank: ViewBank, scene: int) -> tuple[np.ndarray, np.ndarray, float]:

@@ -115,7 +115,7 @@ def test_a_killed_run_ends_with_the_same_policy(
             assert torch.equal(value, b[key]), key
 
 
-def test_a_learner_is_told_what_a_greedy_agent_sees(
+def test_a_learner_starts_from_a_greedy_agent(
     config: Callable[..., TrainAgentConfig],
 ) -> None:
     greedy = train_agent(config(algo="greedy", out="greedy"))

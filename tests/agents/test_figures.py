@@ -28,8 +28,8 @@ def test_with_a_bank_and_without(make_bank: Callable[..., ViewBank], tmp_path: P
     for path in made[:2]:
         text = path.read_text()
         assert all(name in text for name in ("random", "max-baseline"))
-    picture = cv2.imread(str(made[2]))
-    assert picture.shape[1] > 1000 and picture.std() > 10
+    image = cv2.imread(str(made[2]))
+    assert image.shape[1] > 1000 and image.std() > 10
     for scene in range(12):  # the mark is at the view that was taken
         slot = _slot_of(bank, scene, outcomes["oracle"][scene])
         assert slot == int(bank.second_error[scene].argmin())

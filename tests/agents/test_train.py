@@ -95,7 +95,7 @@ def test_same_seed_same_weights_and_interrupted_equals_whole(
     assert not torch.equal(first_weight(whole.out), first_weight(other.out))
 
 
-def test_a_killed_process_goes_on_from_its_checkpoint(config: Make) -> None:
+def test_a_killed_process_resumes_from_its_checkpoint(config: Make) -> None:
     whole, killed = config(out="whole", steps=1280), config(out="killed", steps=1280)
     train_agent(whole)
     script = f"""
@@ -105,7 +105,7 @@ from two_view_pose.agents.train import TrainAgentConfig, train_agent
 torch.set_num_threads(1)
 train_agent({killed!r})
 """
-    environment = {**os.environ, "PYTHONPATH": os.fspath(Path(__file__).parent)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     process = subprocess.Popen([sys.executable, "-c", script], env=environment)
     deadline = time.monotonic() + 300
     while not (killed.out / CHECKPOINT).exists():
@@ -163,15 +163,15 @@ def test_a_folder_of_another_run_is_refused(
     train_agent(config(steps=32, resume=False, **fields))
 
 
-def test_training_goes_on_on_another_device(config: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_training_resumes_on_another_device(config: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     """The device is no part of what identifies a run, nor of its file."""
-    devices, environments = [], train._environments
+    devices, make = [], gym.make
 
-    def made(env_id: str, arguments: dict[str, Any], *others: Any) -> Any:
+    def spy(env_id: str, **arguments: Any) -> gym.Env:
         devices.append(arguments.get("device", "auto"))
-        return environments(env_id, arguments, *others)
+        return make(env_id, **arguments)
 
-    monkeypatch.setattr(train, "_environments", made)
+    monkeypatch.setattr(gym, "make", spy)
     train_agent(config(steps=32, estimator="mid", device="cpu"))
     path = train_agent(config(steps=64, estimator="mid", device="auto"))
     assert devices == ["cpu", "auto"]

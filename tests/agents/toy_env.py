@@ -1,6 +1,6 @@
-"""Small environments of the same kinds of spaces as the real ones, without pictures of a scene.
+"""Small environments of the same kinds of spaces as the real ones, without images of a scene.
 
-``ToyView-v0``: the picture is dark or bright and ``camera`` holds two numbers; the action's first
+``ToyView-v0``: the image is dark or bright and ``camera`` holds two numbers; the action's first
 two numbers should be those. ``ToySphere-v0``: the real environment's view sphere and info around
 a made-up error that falls with the angle between the views.
 """
