@@ -33,9 +33,6 @@ from .view_sphere import (
 FIXED_AZIMUTH = math.radians(30.0)
 """How far to the side the ``fixed`` policy looks from, radians."""
 
-ABOVE_ELEVATION = math.radians(70.0)
-"""From how high the ``above`` policy looks, radians."""
-
 
 class Policy(Protocol):
     """Whatever chooses the second view."""
@@ -97,26 +94,23 @@ class RandomPolicy(Policy):
 class FixedPolicy(ViewSpherePolicy):
     """30 degrees to the side at the same elevation and distance, or the candidate nearest to it."""
 
+    elevation: float | None = None
+    """The elevation to look from, radians; None: the reference camera's."""
+
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
         """The same motion whatever the observation."""
-        elevation = self.elevation()
+        reference = self._env.reference_position
+        elevation = reference.elevation if self.elevation is None else self.elevation
         if isinstance(self._env.action_space, spaces.Box):
             return box_action(self._env, FIXED_AZIMUTH, elevation)
-        azimuth = self._env.reference_position.azimuth + FIXED_AZIMUTH
-        wanted = direction(azimuth, elevation)
+        wanted = direction(reference.azimuth + FIXED_AZIMUTH, elevation)
         return _best(self._env, view_actions(self._env), lambda d: -angle(d, wanted))
-
-    def elevation(self) -> float:
-        """The elevation to look from, radians."""
-        return self._env.reference_position.elevation
 
 
 class AbovePolicy(FixedPolicy):
     """As far to the side, and from 70 degrees above the table: over most occluders."""
 
-    def elevation(self) -> float:
-        """The elevation to look from, radians."""
-        return ABOVE_ELEVATION
+    elevation = math.radians(70.0)
 
 
 class MaxBaselinePolicy(ViewSpherePolicy):
