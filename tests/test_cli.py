@@ -28,7 +28,8 @@ OPTIONS = {
     "evaluate": "method weights preset solver roi scene objects data pairs csv score device json",
     "estimate": "reference second K relative-pose object method depth weights device out json",
     "record-bank": "out scenes scene seed objects estimator answers data device workers verify",
-    "train-agent": "algo bank pretrained-extractor visibility-bank record steps out scene device",
+    "train-agent": "algo bank pretrained-extractor visibility-bank record steps out env scene "
+    "seed device json",
     "evaluate-agent": "policy scene episodes seed seeds bank figures device json",
     "compare": "out quick methods weights noisy-weights data device threads report-only",
     "bench": "repeats weights scenes seed json",
