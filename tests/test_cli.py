@@ -31,7 +31,6 @@ OPTIONS = {
     "train-agent": "algo bank init more-scenes record steps out env scene seed device json",
     "evaluate-agent": "policy scene episodes seed seeds bank figures device json",
     "compare": "out quick methods weights noisy-weights data device threads report-only",
-    "bench": "repeats weights scenes seed json",
     "doctor": "quick json",
 }
 

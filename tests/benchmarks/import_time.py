@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 
-from ..pose_estimator.stopwatch import WARM_UP, Record, make_record
+from .config import BenchConfig
+from .stopwatch import WARM_UP, Record, make_record
 
-MOST = 1.2
+MAX_RATIO = 1.2
 """Times Gymnasium's that ours may take."""
 
 _SCRIPT = """
@@ -18,16 +20,13 @@ print(time.perf_counter() - start)
 """
 
 
-def compare_imports(repeats: int) -> list[Record]:
+def measure(config: BenchConfig) -> Iterator[Record]:
     """``import two_view_pose`` against ``import gymnasium``, each in a fresh process, in turn."""
-    modules = (__name__.split(".")[0], "gymnasium")
-    rounds = [[seconds_of_import(m) for m in modules] for _ in range(repeats + WARM_UP)][WARM_UP:]
-    ours, theirs = zip(*rounds, strict=True)
-    return [
-        make_record(
-            f"import {modules[0]}", f"import {modules[1]}", [*ours], [*theirs], goal=1 / MOST
-        )
-    ]
+    ours, theirs = modules = ("two_view_pose", "gymnasium")
+    rounds = [[seconds_of_import(m) for m in modules] for _ in range(config.repeats + WARM_UP)]
+    our_times, their_times = zip(*rounds[WARM_UP:], strict=True)
+    goal = 1 / MAX_RATIO
+    yield make_record(f"import {ours}", f"import {theirs}", our_times, their_times, goal)
 
 
 def seconds_of_import(module: str) -> float:

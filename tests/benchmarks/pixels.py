@@ -1,11 +1,11 @@
 """Episodes of pixels without an estimator, beside pixels of the same triangles from others.
 
-Both sides draw 84x84 pictures of one scene of MuJoCo. Gymnasium's and dm_control's way is one step
-of physics and one picture; an episode of ours is a reset, which sets up a new scene and takes the
+Both sides draw 84x84 images of one scene of MuJoCo. Gymnasium's and dm_control's way is one step
+of physics and one image; an episode of ours is a reset, which sets up a new scene and takes the
 reference view, and one step, which takes the second view.
 
-Each side has a process of its own and waits while the other works: Gymnasium and dm_control believe
-that nobody else draws, and in one process would draw into our OpenGL context.
+Each side has a process of its own and waits while the other works: Gymnasium and dm_control assume
+an exclusive OpenGL context, and in one process would draw into ours.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 
-from ..pose_estimator.stopwatch import WARM_UP, Missing, Record, make_record, seconds
-
-if TYPE_CHECKING:
-    from .scene import Scene
+from .config import BenchConfig
+from .rendering import default_model, drawn_scene
+from .stopwatch import WARM_UP, Record, make_record, missing, seconds
 
 SIDE = 84
 CAMERA = {"distance": 1.0, "azimuth": 90.0, "elevation": -45.0}
@@ -32,7 +32,7 @@ class Side(NamedTuple):
     """What one side does.
 
     Attributes:
-        reset: begins an episode; of a peer it returns the picture, (84, 84, 3).
+        reset: begins an episode; of a peer it returns the image, (84, 84, 3).
         step: one step, likewise.
         close: frees everything.
     """
@@ -42,19 +42,19 @@ class Side(NamedTuple):
     close: Callable[[], Any]
 
 
-def compare_pixels(repeats: int, seed: int) -> Iterator[Record | Missing]:
+def measure(config: BenchConfig) -> Iterator[Record]:
     """A step and a whole episode of ``TwoViewPose-v0`` against both others."""
     for name, (_, install) in PEERS.items():
         spawn = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(1, spawn) as ours, ProcessPoolExecutor(1, spawn) as theirs:
-            failure = theirs.submit(begin, name, seed).result()
+            failure = theirs.submit(begin, name, config.seed).result()
             if failure is not None:
-                yield Missing(name, failure, install)
+                yield missing(name, failure, install)
                 continue
-            ours.submit(begin, OURS, seed).result()
+            ours.submit(begin, OURS, config.seed).result()
             rounds = [
                 [side.submit(time_episode).result() for side in (ours, theirs)]
-                for _ in range(repeats + WARM_UP)
+                for _ in range(config.repeats + WARM_UP)
             ]
             for side in (ours, theirs):
                 side.submit(end).result()
@@ -62,7 +62,7 @@ def compare_pixels(repeats: int, seed: int) -> Iterator[Record | Missing]:
 
 
 def records(name: str, times: np.ndarray) -> list[Record]:
-    """A step beside a step, and a whole episode beside as many pictures.
+    """A step beside a step, and a whole episode beside as many images.
 
     Args:
         name: of the peer.
@@ -88,12 +88,21 @@ def records(name: str, times: np.ndarray) -> list[Record]:
 
 def our_pixels(seed: int) -> Side:
     """Reset and step of ``TwoViewPose-v0``."""
-    import gymnasium as gym
+    env = pixels_env(seed)
+    return Side(env.reset, lambda: env.step(env.action_space.sample()), env.close)
 
-    env = gym.make("TwoViewPose-v0", estimator=None, resolution=(SIDE, SIDE), image_size=SIDE)
+
+def pixels_env(seed: int) -> gym.Env:
+    """``TwoViewPose-v0`` with small images and no estimator, after its first reset."""
+    env = gym.make(
+        "two_view_pose:TwoViewPose-v0",
+        estimator=None,
+        resolution=(SIDE, SIDE),
+        image_size=SIDE,
+    )
     env.action_space.seed(seed)
     env.reset(seed=seed)
-    return Side(env.reset, lambda: env.step(env.action_space.sample()), env.close)
+    return env
 
 
 def gymnasium_pixels(seed: int) -> Side:
@@ -101,9 +110,7 @@ def gymnasium_pixels(seed: int) -> Side:
     import mujoco
     from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 
-    from .bench_rendering import default_model
-
-    scene = drawn_scene(seed)
+    scene, _ = drawn_scene(seed)
     model, start = default_model(scene, SIDE, SIDE), scene.data.qpos.copy()
     data = mujoco.MjData(model)
     renderer = MujocoRenderer(model, data, {**CAMERA, "lookat": np.zeros(3)}, SIDE, SIDE)
@@ -126,9 +133,7 @@ def dm_control_pixels(seed: int) -> Side:
     from dm_control import mujoco as dm
     from dm_control.mujoco import wrapper
 
-    from .bench_rendering import default_model
-
-    scene = drawn_scene(seed)
+    scene, _ = drawn_scene(seed)
     start = scene.data.qpos.copy()
     physics = dm.Physics.from_model(wrapper.MjModel(default_model(scene, SIDE, SIDE)))
 
@@ -142,17 +147,6 @@ def dm_control_pixels(seed: int) -> Side:
         return physics.render(SIDE, SIDE)
 
     return Side(reset, step, physics.free)
-
-
-def drawn_scene(seed: int) -> Scene:
-    """A scene after a reset, with its OpenGL context closed."""
-    from .. import assets
-    from .scene import Scene
-
-    scene = Scene(assets.load_objects(None))
-    scene.reset(np.random.default_rng(seed), scene.object_names[0])
-    scene.close()
-    return scene
 
 
 OURS = "Two-View Pose"
@@ -173,11 +167,11 @@ def begin(name: str, seed: int) -> str | None:
         return None
     try:
         _side = PEERS[name][0](seed)
-        picture = _side.reset()
+        image = _side.reset()
     except Exception as error:  # of others' code, in which anything can be missing
         return f"{type(error).__name__}: {error}"
-    if picture.shape != (SIDE, SIDE, 3) or picture.std() < 1:
-        return f"it draws nothing: {picture.shape}, deviation {picture.std():.1f}"
+    if image.shape != (SIDE, SIDE, 3) or image.std() < 1:
+        return f"it draws nothing: {image.shape}, deviation {image.std():.1f}"
     return None
 
 

@@ -1,18 +1,16 @@
-"""What ``bench`` measured, as a table in the terminal and as one for a page."""
+"""What was measured, as a table in the terminal and as one in Markdown."""
 
 from __future__ import annotations
 
-from typing import Any
+from rich.table import Table
 
-from ..pose_estimator.stopwatch import Record
+from .stopwatch import MISSING, Record
 
 _COLUMNS = ("work", "against", "ours", "theirs", "ratio", "goal", "")
 
 
-def table(records: list[Record]) -> Any:
+def table(records: list[Record]) -> Table:
     """The records that have a goal, for a terminal; costs against size are left to the figure."""
-    from rich.table import Table
-
     title = " ".join(["side by side in one run, medians.", *measured_on(records)])
     shown = Table(title=title)
     for column in _COLUMNS:
@@ -40,7 +38,10 @@ def measured_on(records: list[Record]) -> list[str]:
 
 
 def one_line(record: Record) -> str:
-    """A record as it is told when it was measured."""
+    """A record as it is printed when it was measured."""
+    if record["metric"] == MISSING:
+        against, reason, install = record["against"], record["reason"], record["install"]
+        return f"not compared with {against} ({reason}). To install it: {install}"
     if "goal" not in record:
         return f"{record['value']:.3g} {record['unit']}  {record.get('work', record['metric'])}"
     work, against, *_, ratio, goal = cells(record)

@@ -1,4 +1,4 @@
-"""How cost grows with size: bodies in a scene, pictures in a batch, voxels in a volume."""
+"""How cost grows with size: bodies in a scene, crops in a batch, voxels in a volume."""
 
 from __future__ import annotations
 
@@ -7,17 +7,22 @@ from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from two_view_pose import assets
+from two_view_pose.envs.arrangement import Arrangement, Thing
+from two_view_pose.envs.camera import view_sphere_pose
+from two_view_pose.envs.placement import Placed, resting_poses
+from two_view_pose.envs.renderer import SceneRenderer
+from two_view_pose.envs.scene import Scene
+from two_view_pose.pose_estimator.inference import Inference
 
-from ..pose_estimator.bench_network import volume_run
-from ..pose_estimator.bench_solver import draw_problems, soft_ransac_poses
-from ..pose_estimator.stopwatch import WARM_UP, Record, in_turn, seconds
-from .camera import view_sphere_pose
-
-if TYPE_CHECKING:
-    from .scene import Scene
+from .config import BenchConfig
+from .network import volume_run
+from .solver import draw_problems, soft_ransac_poses
+from .stopwatch import WARM_UP, Record, in_turn, seconds
 
 BODIES = (2, 5, 10, 20, 30, 40, 60)
 BATCHES = (1, 2, 4, 8, 16, 32)
@@ -25,25 +30,25 @@ CELLS = (16, 24, 32, 40, 48, 60)
 _SPACING = 0.13
 """Between neighbouring bodies on the table, metres."""
 
+_PANELS = (
+    ("An image of 640x480", "bodies", "bodies in view", BODIES, ("RGB", "RGB, depth and masks")),
+    ("A crop in a batch", "batch", "size of the batch", BATCHES, ("2D network and votes",)),
+    ("A pose in a batch", "batch", "size of the batch", BATCHES, ("Soft RANSAC",)),
+    ("A volume", "cells", "voxels along a side", CELLS, ("3D network",)),
+)
+"""Of the figure: title, tag of the size, what it is, its ticks, and works with a curve each."""
 
-def measure_costs(weights: str, repeats: int, seed: int) -> Iterator[Record]:
-    """Records ``seconds`` of everything, with ``work`` and one of ``bodies``, ``batch``, ``cells``.
 
-    Args:
-        weights: of the 2D network.
-        repeats: timed repeats; the median counts.
-        seed: of the crops and the keypoints.
-    """
-    yield from render_costs(BODIES, repeats)
-    yield from crop_costs(weights, BATCHES, repeats, seed)
-    yield from solver_costs(BATCHES, repeats, seed)
-    yield from volume_costs(CELLS, max(3, repeats // 3))
+def measure(config: BenchConfig) -> Iterator[Record]:
+    """Records ``seconds``, with ``work`` and one of ``bodies``, ``batch``, ``cells``."""
+    yield from render_costs(BODIES, config.repeats)
+    yield from crop_costs(config, BATCHES)
+    yield from solver_costs(BATCHES, config.repeats, config.seed)
+    yield from volume_costs(CELLS, config.fewer_repeats)
 
 
 def render_costs(bodies: tuple[int, ...], repeats: int) -> list[Record]:
-    """Pictures of 640x480 of so many objects, from one camera; as many more stand by unseen."""
-    from .renderer import SceneRenderer
-
+    """Images of 640x480 of so many objects, from one camera; the others are out of view."""
     scene = crowded_scene(max(bodies))
     T_cam_world = view_sphere_pose(np.zeros(3), 1.4, 0.0, np.deg2rad(50.0))
     kinds: dict[str, dict[str, Any]] = {
@@ -63,9 +68,6 @@ def render_costs(bodies: tuple[int, ...], repeats: int) -> list[Record]:
 
 def crowded_scene(count: int) -> Scene:
     """A scene with our thirteen objects again and again, ``count`` in all."""
-    from .. import assets
-    from .scene import Scene
-
     models = list(assets.load_objects(None).values())
     copies = [(f"{m.name}{n}", m) for n in range(-(-count // len(models))) for m in models]
     return Scene({name: replace(model, name=name) for name, model in copies[:count]})
@@ -73,9 +75,6 @@ def crowded_scene(count: int) -> Scene:
 
 def show(scene: Scene, count: int) -> None:
     """Puts the first ``count`` objects upright on the table, from the middle outwards."""
-    from .arrangement import Arrangement, Thing
-    from .placement import Placed, resting_poses
-
     side = int(np.ceil(np.sqrt(len(scene.objects))))
     steps = (np.arange(side) - (side - 1) / 2) * _SPACING
     places = sorted(product(steps, steps), key=lambda xy: float(np.hypot(*xy)))
@@ -91,20 +90,17 @@ def show(scene: Scene, count: int) -> None:
     )
 
 
-def crop_costs(weights: str, batches: tuple[int, ...], repeats: int, seed: int) -> list[Record]:
+def crop_costs(config: BenchConfig, batches: tuple[int, ...]) -> list[Record]:
     """The 2D network and its votes, as the estimator asks them, for each crop of a batch."""
-    from ..pose_estimator import load
-    from ..pose_estimator.inference import Inference
-
-    networks = load("mid", weights, device="cpu").networks
+    networks = config.load_mid().networks
     side = networks.features.config.crop
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(config.seed)
     encode = Inference(networks).encode
     asked = [
         partial(encode, [(rng.integers(0, 256, (batch, side, side, 3), dtype=np.uint8), 0)])
         for batch in batches
     ]
-    return _by_batch("2D network and votes", batches, in_turn(asked, repeats))
+    return _by_batch("2D network and votes", batches, in_turn(asked, config.repeats))
 
 
 def solver_costs(batches: tuple[int, ...], repeats: int, seed: int) -> list[Record]:
@@ -121,47 +117,32 @@ def volume_costs(cells: tuple[int, ...], repeats: int) -> list[Record]:
 
 
 def draw_costs(path: Path, records: list[Record]) -> None:
-    """Draws the records of :func:`measure_costs` into one PNG: a panel for each size."""
-    from matplotlib.figure import Figure
-
+    """Draws the records of :func:`measure` into one PNG: a panel for each size."""
     figure = Figure(figsize=(10, 6.4), layout="constrained")
     panels: Any = figure.subplots(2, 2).ravel()
-    batched = [r for r in records if "batch" in r]
-    poses = [r for r in batched if r["work"] == "Soft RANSAC"]
-    crops = [r for r in batched if r not in poses]
-    _panel(panels[0], [r for r in records if "bodies" in r], "bodies", "A picture of 640x480")
-    _panel(panels[1], crops, "batch", "A crop in a batch")
-    _panel(panels[2], poses, "batch", "A pose in a batch")
-    _panel(panels[3], [r for r in records if "cells" in r], "cells", "A volume")
-    panels[0].set(xlabel="bodies in view", ylim=(0, None))
-    for panel in panels[1:3]:
-        panel.set_xscale("log", base=2)
-        panel.set(xlabel="size of the batch", ylim=(0, None))
-    for panel, ticks in zip(panels, (BODIES, BATCHES, BATCHES, CELLS), strict=True):
+    for panel, (title, size, label, ticks, works) in zip(panels, _PANELS, strict=True):
+        curves = {w: [r for r in records if r["work"] == w and size in r] for w in works}
+        for work, curve in curves.items():
+            sizes = np.array([r[size] for r in curve], dtype=float)
+            times = np.array([1000 * r["value"] for r in curve])
+            panel.plot(sizes, times, "o-", label=work)
+        if size == "cells":
+            cubic = times[-1:] * (sizes / sizes[-1:]) ** 3
+            panel.plot(sizes, cubic, "--", color="0.6", label="as voxels grow")
+            panel.set(xscale="log", yscale="log")
+            panel.yaxis.set_major_formatter("{x:g}")
+        else:
+            panel.set_ylim(0, None)
+        if size == "batch":
+            panel.set_xscale("log", base=2)
         panel.set_xticks(ticks, [str(tick) for tick in ticks])
-    panels[3].set(xlabel="voxels along a side", xscale="log", yscale="log")
-    panels[3].set_xticks(CELLS, [str(side) for side in CELLS])
-    panels[3].minorticks_off()
-    sides = np.array([r["cells"] for r in records if "cells" in r], dtype=float)
-    if len(sides):
-        last = next(r["value"] for r in records if r.get("cells") == sides[-1])
-        cubic = 1000 * last * (sides / sides[-1]) ** 3
-        panels[3].plot(sides, cubic, "--", color="0.6", label="as voxels grow")
-    panels[3].yaxis.set_major_formatter("{x:g}")
-    for panel in panels:
+        panel.minorticks_off()
+        panel.set(xlabel=label, ylabel="milliseconds")
+        panel.set_title(title, loc="left")
+        panel.grid(color="0.9")
         panel.legend(frameon=False)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=120)
-
-
-def _panel(panel: Any, records: list[Record], size: str, title: str) -> None:
-    """One curve for each kind of work."""
-    for work in dict.fromkeys(r["work"] for r in records):
-        curve = [(r[size], 1000 * r["value"]) for r in records if r["work"] == work]
-        panel.plot(*np.transpose(curve), "o-", label=work)
-    panel.set_title(title, loc="left")
-    panel.set_ylabel("milliseconds")
-    panel.grid(color="0.9")
 
 
 def _by_batch(work: str, batches: tuple[int, ...], times: list[list[float]]) -> list[Record]:

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
+from two_view_pose.pose_estimator.geometry import LINEMOD_K, project
+from two_view_pose.pose_estimator.solvers import SOLVER_INLIER, solve
 
-from .geometry import LINEMOD_K, project
-from .solvers import SOLVER_INLIER, solve
-from .stopwatch import Missing, Record, in_own_process, ratio
+from .config import BenchConfig
+from .own_process import each_from_own_process
+from .stopwatch import Record, missing, ratio
 
 _BATCH = 32
 _OUTLIERS = 3
@@ -104,33 +107,51 @@ def affine_poses(problems: KeypointProblems) -> np.ndarray:
     return poses
 
 
-def compare_speed(repeats: int, seed: int) -> Iterator[Record | Missing]:
-    """Soft RANSAC of 32 poses against as many calls of others' RANSACs, for each pose.
+def measure(config: BenchConfig) -> Iterator[Record]:
+    """Speed against three ways of OpenCV and one of Open3D, and robustness."""
+    for against, theirs in (
+        ("cv2.solvePnPRansac", _call_pnp),
+        ("cv2.estimateAffine3D", _call_affine),
+        ("cv2.estimateAffine3D, made a pose", affine_poses),
+    ):
+        yield from compare_speed(against, theirs, config.repeats, config.seed)
+    # Open3D brings an OpenMP of its own.
+    yield from each_from_own_process(compare_with_open3d, config.fewer_repeats, config.seed)
+    yield compare_robustness(config.seed)
 
-    All get the same nine keypoints, once all good and once with three of them wrong: a RANSAC stops
-    early where all agree, and Soft RANSAC always does the same work. The others stop when they
-    would of themselves; those that must be told what an inlier is are told Soft RANSAC's.
+
+def compare_speed(
+    against: str, theirs: Callable[[KeypointProblems], Any], repeats: int, seed: int
+) -> Iterator[Record]:
+    """Soft RANSAC of 32 poses against as many calls of another RANSAC, for each pose.
+
+    Both get the same nine keypoints, once all good and once with three of them wrong: a RANSAC
+    stops early where all agree, and Soft RANSAC always does the same work. The others stop when
+    they would of themselves; those that need an inlier threshold get Soft RANSAC's.
     """
     for outliers in (0, _OUTLIERS):
         problems = draw_problems(np.random.default_rng(seed), _BATCH, outliers=outliers)
         cv2.setRNGSeed(seed)
-        for against, theirs in (
-            ("cv2.solvePnPRansac", partial(_call_pnp, problems)),
-            ("cv2.estimateAffine3D", partial(_call_affine, problems)),
-            ("cv2.estimateAffine3D, made a pose", partial(affine_poses, problems)),
-        ):
-            yield _compare(against, problems, theirs, repeats, outliers)
-    # Open3D brings an OpenMP of its own.
-    found = in_own_process(compare_with_open3d, max(3, repeats // 3), seed)
-    yield from found if isinstance(found, list) else [found]
+        wrong = f", {outliers} of 9 keypoints wrong" if outliers else ""
+        record = ratio(
+            f"Soft RANSAC, a pose in a batch of {_BATCH}{wrong}",
+            against,
+            partial(soft_ransac_poses, problems),
+            partial(theirs, problems),
+            repeats,
+            goal=1.0,
+            share=_BATCH,
+        )
+        yield {**record, "outliers": outliers}
 
 
-def compare_with_open3d(repeats: int, seed: int) -> list[Record] | Missing:
+def compare_with_open3d(repeats: int, seed: int) -> Iterator[Record]:
     """The same against Open3D's RANSAC over correspondences."""
     try:
         import open3d
     except (ImportError, OSError) as error:  # OSError: a library of the system's is not there
-        return Missing("Open3D", f"{type(error).__name__}: {error}", OPEN3D_HINT)
+        yield missing("Open3D", f"{type(error).__name__}: {error}", OPEN3D_HINT)
+        return
     open3d.utility.random.seed(seed)
     vector, cloud = open3d.utility.Vector3dVector, open3d.geometry.PointCloud
     pairs = open3d.utility.Vector2iVector(np.tile(np.arange(9)[:, None], 2))
@@ -142,12 +163,7 @@ def compare_with_open3d(repeats: int, seed: int) -> list[Record] | Missing:
         for predicted in problems.predicted:
             register(model, cloud(vector(predicted)), pairs, threshold)
 
-    records = []
-    for outliers in (0, _OUTLIERS):
-        problems = draw_problems(np.random.default_rng(seed), _BATCH, outliers=outliers)
-        theirs = partial(call, problems)
-        records.append(_compare("Open3D's RANSAC", problems, theirs, repeats, outliers))
-    return records
+    yield from compare_speed("Open3D's RANSAC", call, repeats, seed)
 
 
 def _call_pnp(problems: KeypointProblems) -> None:
@@ -159,26 +175,6 @@ def _call_affine(problems: KeypointProblems) -> None:
     threshold = SOLVER_INLIER * problems.diameter
     for predicted in problems.predicted:
         cv2.estimateAffine3D(problems.model_points, predicted, ransacThreshold=threshold)
-
-
-def _compare(
-    against: str,
-    problems: KeypointProblems,
-    theirs: Callable[[], object],
-    repeats: int,
-    outliers: int,
-) -> Record:
-    wrong = f", {outliers} of 9 keypoints wrong" if outliers else ""
-    record = ratio(
-        f"Soft RANSAC, a pose in a batch of {_BATCH}{wrong}",
-        against,
-        lambda: soft_ransac_poses(problems),
-        theirs,
-        repeats,
-        goal=1.0,
-        share=_BATCH,
-    )
-    return {**record, "outliers": outliers}
 
 
 def compare_robustness(seed: int, count: int = 500) -> Record:

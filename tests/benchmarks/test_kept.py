@@ -1,12 +1,13 @@
-"""An interrupted bench keeps its lines, and goes on only where nothing has changed."""
+"""An interrupted bench keeps its lines, and resumes only where nothing has changed."""
 
 import json
 
 import pytest
-from two_view_pose.envs import bench
-from two_view_pose.envs.bench_kept import FINISHED, Measured
-from two_view_pose.pose_estimator import stopwatch
 from two_view_pose.pose_estimator.results import read_results
+
+from . import command, stopwatch
+from .config import BenchConfig
+from .kept import FINISHED, Measured
 
 GROUPS = ("rendering", "solver")
 
@@ -30,10 +31,10 @@ def run(tmp_path, monkeypatch):
                     raise found
                 yield found
 
-        monkeypatch.setattr(stopwatch, "each_from_own_process", each)
-        config = bench.BenchConfig(only=GROUPS, repeats=repeats, seed=seed, json=path)
+        monkeypatch.setattr(command, "each_from_own_process", each)
+        config = BenchConfig(only=GROUPS, repeats=repeats, seed=seed, json=path)
         try:
-            bench.bench(config)
+            command.bench(config)
         except KeyboardInterrupt:
             measured.append("interrupted")
         return measured, read_results(path)["records"]
@@ -52,7 +53,7 @@ def works(records):
     return [record["work"] for record in records if record["metric"] == "ratio"]
 
 
-def test_lines_of_an_interrupted_run_are_kept_and_the_next_goes_on(run, capsys):
+def test_lines_of_an_interrupted_run_are_kept_and_the_next_resumes(run, capsys):
     measured, records = run(INTERRUPTED)
     assert measured == ["rendering", "solver", "interrupted"]
     assert works(records) == ["a", "b", "c"]
@@ -63,7 +64,7 @@ def test_lines_of_an_interrupted_run_are_kept_and_the_next_goes_on(run, capsys):
     assert measured == ["solver"]
     assert works(records) == ["a", "b", "c", "d"]
     printed = capsys.readouterr().out
-    assert "goes on after rendering" in " ".join(printed.split())
+    assert "resumes after rendering" in " ".join(printed.split())
     assert "1/2 rendering" in printed and "2/2 solver" in printed
 
 
@@ -98,17 +99,17 @@ def test_another_file_is_not_overwritten(run):
     assert run.path.read_text() == '{"precious": 1}'
 
 
-def test_each_line_is_told_when_it_is_measured(run, capsys):
-    told = []
+def test_each_line_is_printed_when_it_is_measured(run, capsys):
+    printed = []
 
     def lines():
         for found in FIRST:
             yield found
-            told.append(capsys.readouterr().out)
+            printed.append(capsys.readouterr().out)
 
     run({"rendering": lines(), "solver": SECOND})
-    assert "2.00x  a | theirs (goal >= 1x: met)" in told[0] and "  b |" not in told[0]
-    assert "2.00x  b | theirs" in told[1]
+    assert "2.00x  a | theirs (goal >= 1x: met)" in printed[0] and "  b |" not in printed[0]
+    assert "2.00x  b | theirs" in printed[1]
 
 
 def test_without_a_file_nothing_is_kept(tmp_path, monkeypatch):

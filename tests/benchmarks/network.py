@@ -1,6 +1,6 @@
 """How much of what the processor can do the 3D network of Mid-Fusion gets out of it.
 
-The yardstick is the best large matrix product on the same cores and in the same precision: bfloat16
+The reference is the best large matrix product on the same cores and in the same precision: bfloat16
 where the CPU multiplies it in hardware, else float32, as the estimator chooses too.
 """
 
@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
+from two_view_pose.pose_estimator.device import has_fast_bfloat16
+from two_view_pose.pose_estimator.features import FeatureConfig
+from two_view_pose.pose_estimator.fused import fused
+from two_view_pose.pose_estimator.processor import number_format
+from two_view_pose.pose_estimator.volume import PRESETS, Volume, VolumeNet, as_convolved
 
-from .device import has_fast_bfloat16
-from .features import FeatureConfig
-from .fused import fused
-from .processor import number_format
+from .config import BenchConfig
 from .stopwatch import WARM_UP, Record, seconds
-from .volume import PRESETS, Volume, VolumeNet, as_convolved
 
 GOAL = 0.5
 """Of the matrix product's operations in a second."""
@@ -33,7 +34,7 @@ PAPER_CELLS = 60
 """Voxels along a side of the paper's coarse volume."""
 
 
-def compare_networks(repeats: int) -> Iterator[Record]:
+def measure(config: BenchConfig) -> Iterator[Record]:
     """The 3D network of both presets against a matrix product.
 
     ``fast`` runs both of its volumes, with one pair of views and with eight; ``paper`` its coarse
@@ -42,15 +43,11 @@ def compare_networks(repeats: int) -> Iterator[Record]:
     fast = PRESETS["fast"]
     sides = [level.cells for level in (fast.coarse, fast.fine) if level.cells is not None]
     cells = " and ".join(f"{side}^3" for side in sides)
-    yield compare_with_product(f"3D network, fast ({cells}), 1 pair", "fast", sides, 1, repeats)
-    yield compare_with_product(f"3D network, fast ({cells}), 8 pairs", "fast", sides, 8, repeats)
-    yield compare_with_product(
-        f"3D network, paper ({PAPER_CELLS}^3), 1 pair",
-        "paper",
-        [PAPER_CELLS],
-        1,
-        max(3, repeats // 3),
-    )
+    for pairs, said in ((1, "1 pair"), (8, "8 pairs")):
+        work = f"3D network, fast ({cells}), {said}"
+        yield compare_with_product(work, "fast", sides, pairs, config.repeats)
+    work = f"3D network, paper ({PAPER_CELLS}^3), 1 pair"
+    yield compare_with_product(work, "paper", [PAPER_CELLS], 1, config.fewer_repeats)
 
 
 def compare_with_product(

@@ -12,13 +12,13 @@ from typing import Any
 
 import gymnasium as gym
 import torch
+from two_view_pose.pose_estimator.cores import available_cores
+from two_view_pose.pose_estimator.features import FeatureConfig, KeypointNet
 
-from ..pose_estimator import load
-from ..pose_estimator.cores import available_cores
-from ..pose_estimator.features import FeatureConfig, KeypointNet
-from ..pose_estimator.stopwatch import WARM_UP, Record, make_record, seconds
-from .bench_estimator import PAIRS, anew, draw_pairs
-from .bench_vector import LANES
+from .config import BenchConfig
+from .estimator import PAIRS, draw_pairs, fresh_views
+from .stopwatch import WARM_UP, Record, make_record, seconds
+from .vector import NUM_ENVS
 
 GOAL = 0.25
 """Beside them all may take four times as long; a fair share of the cores would be a third."""
@@ -35,35 +35,28 @@ while os.getppid() == int(sys.argv[1]):
 """
 
 
-def compare_busy(weights: str, repeats: int, seed: int) -> Iterator[Record]:
-    """An estimate, a step of the vector environment and one of training.
-
-    Args:
-        weights: of the estimator.
-        repeats: timed repeats of each side; a third of them for what takes longer.
-        seed: of the scenes.
-    """
-    fewer = max(3, repeats // 3)
-    estimator = load("mid", weights, device="cpu")
-    pairs = cycle(draw_pairs(seed, PAIRS))
-
-    def estimate() -> None:
-        views, name = next(pairs)
-        estimator.estimate(anew(views), name)
-
-    yield compare("Mid-Fusion, one pair", estimate, repeats)
-    lanes = gym.make_vec("TwoViewPose-v0", num_envs=LANES, estimator=estimator)
-    lanes.action_space.seed(seed)
+def measure(config: BenchConfig) -> Iterator[Record]:
+    """An estimate, a step of the vector environment and one of training."""
+    estimator = config.load_mid()
+    pairs = cycle(draw_pairs(config.seed, PAIRS))
+    yield compare(
+        "Mid-Fusion, one pair",
+        lambda: estimator.estimate(*fresh_views(*next(pairs))),
+        config.repeats,
+    )
+    envs = gym.make_vec("two_view_pose:TwoViewPose-v0", num_envs=NUM_ENVS, estimator=estimator)
+    envs.action_space.seed(config.seed)
     try:
-        lanes.reset(seed=seed)
+        envs.reset(seed=config.seed)
         yield compare(
-            f"vector env, a step of {LANES} lanes with mid",
-            lambda: lanes.step(lanes.action_space.sample()),
-            fewer,
+            f"vector env, a step of {NUM_ENVS} lanes with mid",
+            lambda: envs.step(envs.action_space.sample()),
+            config.fewer_repeats,
         )
     finally:
-        lanes.close()
-    yield compare(f"features network, a training step of {CROPS} crops", training_step(), fewer)
+        envs.close()
+    work = f"features network, a training step of {CROPS} crops"
+    yield compare(work, training_step(), config.fewer_repeats)
 
 
 def compare(work: str, function: Callable[[], Any], repeats: int) -> Record:

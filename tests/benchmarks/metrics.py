@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from two_view_pose import assets
+from two_view_pose.pose_estimator import metrics
+from two_view_pose.pose_estimator.geometry import make_transform, transform
+from two_view_pose.pose_estimator.nearest_points import NearestPoints
 
-from ..assets.object_model import ObjectModel
-from . import metrics
-from .geometry import make_transform, transform
-from .nearest_points import NearestPoints
-from .stopwatch import ratio
+from .config import BenchConfig
+from .stopwatch import Record, ratio
 
 POINTS = 5000
 _POSES = 8
@@ -56,25 +56,23 @@ def pose_pairs(rng: np.random.Generator, diameter: float, count: int) -> list[Po
     return pairs
 
 
-def compare_add_s(
-    objects: Mapping[str, ObjectModel], repeats: int, seed: int, count: int = POINTS
-) -> dict[str, Any]:
-    """ADD-S of symmetric objects, with the index of each kept, against the BOP toolkit's way.
+def measure(config: BenchConfig, count: int = POINTS) -> Iterator[Record]:
+    """ADD-S of our symmetric objects, with the index of each kept, against the BOP toolkit's way.
 
     Args:
-        objects: their surfaces are sampled anew.
-        repeats: timed repeats of each side.
-        seed: of the points and the poses.
-        count: points on each surface.
+        config: its repeats, and the seed of the points and the poses.
+        count: points on each surface, which is sampled anew.
 
-    Returns:
+    Yields:
         A record of the results file, seconds for one pose; ``largest_difference`` is in metres.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(config.seed)
     cases = []
-    for model in objects.values():
+    for model in assets.load_objects(None).values():
+        if not model.symmetric:
+            continue
         mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
-        points = np.asarray(trimesh.sample.sample_surface(mesh, count, seed=seed)[0])
+        points = np.asarray(trimesh.sample.sample_surface(mesh, count, seed=config.seed)[0])
         index = NearestPoints(points)
         cases += [(*pair, points, index) for pair in pose_pairs(rng, model.diameter, _POSES)]
 
@@ -89,9 +87,9 @@ def compare_add_s(
         "the BOP toolkit's way: a cKDTree for every estimate",
         ours,
         theirs,
-        repeats,
+        config.repeats,
         goal=3.0,
         share=len(cases),
     )
     difference = np.abs(np.subtract(ours(), theirs())).max()
-    return {**record, "largest_difference": float(difference)}
+    yield {**record, "largest_difference": float(difference)}

@@ -4,13 +4,16 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 import torch
-from two_view_pose.envs import bench_busy, bench_table
 from two_view_pose.pose_estimator.cores import available_cores
 from two_view_pose.pose_estimator.results import check_record
 
+from . import busy, table
+
+TESTS = Path(__file__).parents[1]
 has_proc = pytest.mark.skipif(not os.path.exists("/proc/self"), reason="asks /proc")
 
 
@@ -31,7 +34,7 @@ def ticks(pid):
 
 @has_proc
 def test_they_compute_and_end_with_the_block():
-    with pytest.raises(RuntimeError, match="in between"), bench_busy.busy_processes(2) as running:
+    with pytest.raises(RuntimeError, match="in between"), busy.busy_processes(2) as running:
         pids = [process.pid for process in running]
         before = [ticks(pid) for pid in pids]
         time.sleep(1.0)
@@ -45,29 +48,29 @@ def test_they_compute_and_end_with_the_block():
 def test_they_end_with_a_parent_that_is_killed():
     code = (
         "import os, signal\n"
-        "from two_view_pose.envs.bench_busy import busy_processes\n"
+        "from benchmarks.busy import busy_processes\n"
         "with busy_processes(2) as running:\n"
         "    print(*[process.pid for process in running], flush=True)\n"
         "    os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=TESTS)
     pids = [int(pid) for pid in run.stdout.split()]
     assert len(pids) == 2 and gone(pids)
 
 
 def test_the_ratio_is_alone_against_busy(monkeypatch):
     calls = []
-    record = bench_busy.compare("work", lambda: calls.append(time.sleep(0.01)), repeats=2)
+    record = busy.compare("work", lambda: calls.append(time.sleep(0.01)), repeats=2)
     check_record(record)
     count = 2 * available_cores()
     assert record["work"] == f"work, beside {count} busy processes"
     assert record["value"] == pytest.approx(record["seconds_against"] / record["seconds"])
-    assert record["goal"] == 0.25 and bench_table.met({**record, "value": 0.26})
-    assert len(calls) == 2 + bench_busy.WARM_UP + 2
+    assert record["goal"] == 0.25 and table.met({**record, "value": 0.26})
+    assert len(calls) == 2 + busy.WARM_UP + 2
 
 
 def test_a_training_step_changes_the_network():
-    step = bench_busy.training_step()
+    step = busy.training_step()
     cells = [cell.cell_contents for cell in step.__closure__]
     (network,) = (value for value in cells if isinstance(value, torch.nn.Module))
     before = {name: value.clone() for name, value in network.state_dict().items()}

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import gymnasium as gym
 import numpy as np
+from tqdm import tqdm
+from two_view_pose.envs.worker_pool import memory_in_use
 
-from ..pose_estimator.stopwatch import Record
-from .bench_pixels import SIDE
-from .worker_pool import memory_in_use
+from .pixels import SIDE, pixels_env
+from .stopwatch import Record
 
 STEPS = 2_000_000
 """Steps to which the growth is extrapolated."""
@@ -17,11 +17,11 @@ WARM_UP = 0.1
 """Share of the steps that do not count: caches fill, the driver allocates."""
 SAMPLES = 200
 _SHOWN = 20
-"""Samples that are written down."""
+"""Samples that are recorded."""
 
 
 def measure_memory(steps: int, seed: int) -> list[Record]:
-    """Plays episodes (a reset and a step each) and fits a line through the memory held.
+    """Plays episodes (a reset and a step each) and fits a line through the memory in use.
 
     Args:
         steps: how many.
@@ -35,11 +35,7 @@ def measure_memory(steps: int, seed: int) -> list[Record]:
     """
     if steps < 100:
         raise ValueError(f"soak must be at least 100 steps, got {steps}")
-    from tqdm import tqdm
-
-    env = gym.make("TwoViewPose-v0", estimator=None, resolution=(SIDE, SIDE), image_size=SIDE)
-    env.action_space.seed(seed)
-    env.reset(seed=seed)
+    env = pixels_env(seed)
     every = max(1, steps // SAMPLES)
     counts, memory = [], []
     for step in tqdm(range(1, steps + 1), desc="soak", unit="step"):
@@ -60,7 +56,7 @@ def records(counts: np.ndarray, memory: np.ndarray) -> list[Record]:
 
     Args:
         counts: steps that had been made at each measurement, (N,).
-        memory: bytes held then, (N,).
+        memory: bytes in use then, (N,).
     """
     late = counts > WARM_UP * counts[-1]
     slope = _slope(counts[late], memory[late])
@@ -81,7 +77,7 @@ def records(counts: np.ndarray, memory: np.ndarray) -> list[Record]:
         "n": int(counts[-1]),
     }
     shown = np.unique(np.linspace(0, len(counts) - 1, _SHOWN).round().astype(int))
-    held = [
+    samples = [
         {
             "metric": "memory",
             "value": float(memory[i] / 1e6),
@@ -91,7 +87,7 @@ def records(counts: np.ndarray, memory: np.ndarray) -> list[Record]:
         }
         for i in shown
     ]
-    return [growth, *held]
+    return [growth, *samples]
 
 
 def _slope(counts: np.ndarray, memory: np.ndarray) -> float:

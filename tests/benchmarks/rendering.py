@@ -1,75 +1,58 @@
-"""A picture of ours, with depth and masks, beside a default ``mujoco.Renderer``'s three."""
+"""An image of ours, with depth and masks, beside a default ``mujoco.Renderer``'s three."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
 
 import numpy as np
+from PIL import Image
+from two_view_pose import assets
+from two_view_pose.envs.renderer import SceneRenderer
+from two_view_pose.envs.scene import Scene
+from two_view_pose.pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K
 
-from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K
-from ..pose_estimator.stopwatch import Record, ratio
-
-if TYPE_CHECKING:
-    from .scene import Scene
+from .config import BenchConfig
+from .stopwatch import Record, ratio
 
 
-def compare_renderers(repeats: int, seed: int, pictures: Path | None = None) -> list[Record]:
-    """RGB alone, and RGB, depth and masks, of one view of 640x480: same scene and camera.
+def measure(config: BenchConfig) -> Iterator[Record]:
+    """RGB alone, and RGB, depth and masks, of one view of 640x480: same scene and camera."""
+    scene, T_cam_world = drawn_scene(config.seed)
+    ours = SceneRenderer(scene)
+    draw = partial(ours.render, T_cam_world)
+    draw_all = partial(draw, depth=True, masks=True)
+    frame = draw_all()
+    rgb, everything = default_renderer(scene, T_cam_world)
+    their_rgb, their_depth, their_geoms = everything()
+    if config.pictures is not None:
+        Image.fromarray(np.hstack([frame.rgb, their_rgb])).save(config.pictures)
+    assert frame.depth is not None and frame.instances is not None
+    levels = float(np.abs(frame.rgb.astype(int) - their_rgb).mean())
+    depths = float(np.median(np.abs(frame.depth - their_depth)))
+    masks = agreement(frame.instances, instances_of(their_geoms, scene.present_objects()[1]))
+    work, against = "RGB frame, 640x480", "mujoco.Renderer defaults"
+    record = ratio(work, against, draw, rgb, config.repeats, goal=3.0)
+    yield {**record, "mean_difference_of_levels": levels}
+    work, against = "RGB, depth and masks of one view, 640x480", f"{against}, three renders"
+    record = ratio(work, against, draw_all, everything, config.repeats, goal=3.0)
+    yield {
+        **record,
+        "mean_difference_of_levels": levels,
+        "median_difference_of_depth": depths,
+        "agreement_of_masks": masks,
+    }
+    ours.close()
 
-    Args:
-        repeats: timed repeats of each side.
-        seed: of the scene.
-        pictures: where to write both sides' RGB, side by side.
-    """
-    from .. import assets
-    from .renderer import SceneRenderer
-    from .scene import Scene
 
+def drawn_scene(seed: int) -> tuple[Scene, np.ndarray]:
+    """A scene after a reset, with its OpenGL context closed, and its T_cam_world (4, 4)."""
     scene = Scene(assets.load_objects(None))
     state = scene.reset(np.random.default_rng(seed), scene.object_names[0])
-    ours = SceneRenderer(scene)
-    rgb, everything = default_renderer(scene, state.T_cam_world)
-    frame = ours.render(state.T_cam_world, depth=True, masks=True)
-    their_rgb, their_depth, their_geoms = everything()
-    if pictures is not None:
-        from PIL import Image
-
-        Image.fromarray(np.hstack([frame.rgb, their_rgb])).save(pictures)
-    assert frame.depth is not None and frame.instances is not None
-    records = [
-        ratio(
-            "RGB frame, 640x480",
-            "mujoco.Renderer defaults",
-            lambda: ours.render(state.T_cam_world),
-            rgb,
-            repeats,
-            goal=3.0,
-        ),
-        ratio(
-            "RGB, depth and masks of one view, 640x480",
-            "mujoco.Renderer defaults, three renders",
-            lambda: ours.render(state.T_cam_world, depth=True, masks=True),
-            everything,
-            repeats,
-            goal=3.0,
-        ),
-    ]
-    ours.close()
     scene.close()
-    same = {
-        "mean_difference_of_levels": float(np.abs(frame.rgb.astype(int) - their_rgb).mean()),
-        "median_difference_of_depth": float(np.median(np.abs(frame.depth - their_depth))),
-        "agreement_of_masks": agreement(
-            frame.instances, instances_of(their_geoms, scene.present_objects()[1])
-        ),
-    }
-    return [
-        {**records[0], "mean_difference_of_levels": same["mean_difference_of_levels"]},
-        {**records[1], **same},
-    ]
+    return scene, state.T_cam_world
 
 
 def default_renderer(
@@ -82,8 +65,7 @@ def default_renderer(
         (H, W, 2).
     """
     import mujoco
-
-    from .graphics import aim
+    from two_view_pose.envs.graphics import aim
 
     height, width = LINEMOD_IMAGE_SIZE
     renderer = mujoco.Renderer(default_model(scene, height, width), height, width)
@@ -94,20 +76,20 @@ def default_renderer(
         return renderer.render()
 
     def everything() -> tuple[np.ndarray, ...]:
-        colours = rgb()
+        colors = rgb()
         renderer.enable_depth_rendering()
         depth = renderer.render()
         renderer.disable_depth_rendering()
         renderer.enable_segmentation_rendering()
         segments = renderer.render()
         renderer.disable_segmentation_rendering()
-        return colours, depth, segments
+        return colors, depth, segments
 
     return rgb, everything
 
 
 def default_model(scene: Scene, height: int, width: int) -> Any:
-    """A copy of the scene's model with MuJoCo's default quality, for pictures of one size."""
+    """A copy of the scene's model with MuJoCo's default quality, for images of one size."""
     import mujoco
 
     model = copy.copy(scene.world.model)
