@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +16,6 @@ WARM_UP = 2
 
 MISSING = "missing"
 """Metric of a comparison that was not made."""
-
-T = TypeVar("T")
 
 
 def missing(against: str, reason: str, install: str) -> Record:
@@ -32,7 +30,7 @@ def missing(against: str, reason: str, install: str) -> Record:
     return {"metric": MISSING, "value": 0, "unit": "", **names}
 
 
-def timed(work: Callable[..., T], *arguments: Any) -> tuple[float, T]:
+def timed(work: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
     """Wall time of one call in seconds, and what it returned."""
     start = time.perf_counter()
     answer = work(*arguments)

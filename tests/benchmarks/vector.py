@@ -51,8 +51,7 @@ def compare(envs: VectorEnv, single: gym.Env, repeats: int, seed: int) -> Record
             {"scene_seed": int(scene_seed), "object": str(name)}
             for scene_seed, name in zip(infos["scene_seed"], infos["object"], strict=True)
         ]
-        took, answer = timed(envs.step, actions)
-        _, rewards, _, _, infos = answer
+        took, (_, rewards, _, _, infos) = timed(envs.step, actions)
         if envs.metadata.get("autoreset_mode") != AutoresetMode.SAME_STEP:
             # The step after the last one of an episode begins the next and ignores the action.
             again, (*_, infos) = timed(envs.step, actions)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..solids import Solid
 from . import animals, household, tools
+from .solids import Solid
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class Blueprint:
 
     Attributes:
         obj_id: LineMOD's number.
-        solid: makes the shape and its colours.
+        solid: makes the shape and its colors.
         extents: sides of the bounding box (m), (x, y, z).
         diameter: largest distance between two surface points (m).
         symmetric: whether half a turn about z must change nothing.

@@ -1,6 +1,6 @@
 """Six household objects as solids, in millimetres, standing on z = 0.
 
-Like LineMOD's, they have large plain surfaces in few colours. Their sizes are met exactly when
+Like LineMOD's, they have large plain surfaces in few colors. Their sizes are met exactly when
 they are meshed; here they only have the right proportions.
 """
 
@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..solids import (
+from .solids import (
     Sdf,
     Solid,
     box,
     capsule,
-    coloured_parts,
+    colored_parts,
     cylinder,
     ellipsoid,
     half_space,
@@ -49,7 +49,7 @@ def can() -> Solid:
     )
     label = ellipsoid((50, axis, 78), (14, 24, 24))
     dot = ellipsoid((50, axis, 78), (14, 10, 10))
-    parts = coloured_parts(
+    parts = colored_parts(
         (body, RED),
         (handle, (0.24, 0.30, 0.18)),
         (spout, RED),
@@ -63,7 +63,7 @@ def can() -> Solid:
             union(spout, rose, smooth=4),
             smooth=5,
         ),
-        colour=painted(parts, (band, WHITE), (label, WHITE), (dot, YELLOW)),
+        color=painted(parts, (band, WHITE), (label, WHITE), (dot, YELLOW)),
         bounds=np.array([[-60, -105, -8], [60, 110, 205]]),
         edge_length=3.2,
         faces=2600,
@@ -89,7 +89,7 @@ def cam() -> Solid:
     stripe = box((24, -12, 15), (12, 90, 8))
     screen = box((4, -69, 36), (62, 4, 40))
     leather = (0.15, 0.13, 0.12)
-    parts = coloured_parts(
+    parts = colored_parts(
         (body, leather),
         (grip, leather),
         (hump, SILVER),
@@ -113,7 +113,7 @@ def cam() -> Solid:
     off_lens = _grown(barrel, 3, outside=True)
     return Solid(
         sdf=intersect(solid, half_space((0, 0, 1.5), (0, 0, -1))),
-        colour=painted(
+        color=painted(
             parts,
             (intersect(plate, off_lens, _grown(dial, 1, True), _grown(button, 1, True)), SILVER),
             (intersect(window, off_lens), (0.85, 0.88, 0.80)),
@@ -155,8 +155,8 @@ def eggbox() -> Solid:
     egg = ellipsoid((0, 0, 66), (14, 9, 16))
     return Solid(
         sdf=union(rim, cups, core, top, smooth=3),
-        colour=painted(
-            coloured_parts((rim, (0.60, 0.56, 0.49)), (cups, pulp), (core, pulp), (top, pulp)),
+        color=painted(
+            colored_parts((rim, (0.60, 0.56, 0.49)), (cups, pulp), (core, pulp), (top, pulp)),
             (label, WHITE),
             (inner, (0.16, 0.42, 0.24)),
             (egg, YELLOW),
@@ -188,8 +188,8 @@ def glue() -> Solid:
     blob = union(ellipsoid((18, 0, 80), (8, 16, 9)), ellipsoid((-18, 0, 80), (8, 16, 9)))
     return Solid(
         sdf=union(body, shoulder, neck, cap, smooth=3),
-        colour=painted(
-            coloured_parts((body, WHITE), (shoulder, WHITE), (neck, WHITE), (cap, RED)),
+        color=painted(
+            colored_parts((body, WHITE), (shoulder, WHITE), (neck, WHITE), (cap, RED)),
             (label, (0.13, 0.24, 0.50)),
             (stripe, YELLOW),
             (border, RED),
@@ -225,7 +225,7 @@ def lamp() -> Solid:
             union(shade, bulb, collar),
             smooth=1.5,
         ),
-        colour=coloured_parts(
+        color=colored_parts(
             (foot, green),
             (socket, dark),
             (knob, RED),
@@ -267,10 +267,10 @@ def phone() -> Solid:
     display = on_slope(-3, 19, 58, 12, 24)
     redial = on_slope(33.5, -9, 6, 32, 24)
     ivory, dark = (0.80, 0.74, 0.60), (0.22, 0.19, 0.18)
-    parts = coloured_parts((base, ivory), (handset, dark), (antenna, BLACK))
+    parts = colored_parts((base, ivory), (handset, dark), (antenna, BLACK))
     return Solid(
         sdf=union(base, handset, antenna, smooth=3),
-        colour=painted(
+        color=painted(
             parts,
             (intersect(panel, half_space((0, 6, 0), (0, -1, 0))), (0.36, 0.33, 0.30)),
             (keys, WHITE),

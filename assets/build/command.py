@@ -1,7 +1,4 @@
-"""Builds the thirteen objects from their formulas: ``python -m two_view_pose.assets.build``.
-
-The same versions of the libraries give the same bytes. Needs the extra ``build`` (manifold3d).
-"""
+"""Builds the thirteen objects: the same versions of the libraries give the same bytes."""
 
 from __future__ import annotations
 
@@ -14,25 +11,26 @@ import trimesh
 import tyro
 from tqdm import tqdm
 
-from . import surface, texture
-from .contact_sheet import draw_contact_sheet, write_picture
-from .half_turn import HALF_TURN, four_quarters, quarter
-from .modelling import BLUEPRINTS, Blueprint
-from .object_model import ObjectModel
+from ...pose_estimator.results import write_atomically
+from .. import surface, texture
+from ..object_model import ObjectModel
+from ..storage import save_object
+from .blueprints import BLUEPRINTS, Blueprint
+from .contact_sheet import draw_contact_sheet
+from .half_turn import HALF_TURN, mirror_quarter, quarter
 from .solid_mesh import mesh_solid
-from .storage import save_object
 
 
 @dataclass(frozen=True)
 class BuildCommand:
     """Builds our thirteen LineMOD-style objects: meshes, textures, keypoints, resting poses.
 
-    Every object is a formula (assets/modelling) that is meshed, brought to the size of LineMOD's
+    Every object is a formula (see `blueprints`) that is meshed, brought to the size of LineMOD's
     object of that name, unwrapped and painted. Each one becomes a folder with model.glb, which any
     mesh viewer opens, and object.json. The same command gives the same bytes.
     """
 
-    out: Path = Path(__file__).parent / "objects"
+    out: Path = Path(__file__).parents[1] / "objects"
     """Folder to write to, one folder an object; by default the objects of the package itself."""
 
     only: Annotated[list[str], tyro.conf.UseAppendAction] = field(default_factory=list)
@@ -57,7 +55,7 @@ class BuildCommand:
             progress.set_postfix_str(name)
             models[name] = build_object(name, BLUEPRINTS[name], self.texture_size)
             save_object(models[name], self.out / name)
-        write_picture(self.out / "contact_sheet.png", draw_contact_sheet(models))
+        write_atomically(self.out / "contact_sheet.png", draw_contact_sheet(models))
 
 
 def build_object(name: str, blueprint: Blueprint, texture_size: int = 256) -> ObjectModel:
@@ -69,14 +67,14 @@ def build_object(name: str, blueprint: Blueprint, texture_size: int = 256) -> Ob
     solid = blueprint.solid()
     meshed = mesh_solid(solid, blueprint.extents, blueprint.diameter)
 
-    def colour_at(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        return solid.colour(meshed.to_solid(points), normals)
+    def color_at(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        return solid.color(meshed.to_solid(points), normals)
 
     base = quarter(meshed.mesh) if blueprint.symmetric else meshed.mesh
     vertices, faces, uv = texture.unwrap(base, texture_size)
-    picture = texture.bake(vertices, faces, uv, colour_at, texture_size)
+    image = texture.bake(vertices, faces, uv, color_at, texture_size)
     if blueprint.symmetric:
-        vertices, faces, uv = four_quarters(vertices, faces, uv)
+        vertices, faces, uv = mirror_quarter(vertices, faces, uv)
         vertices *= np.asarray(blueprint.extents) / np.ptp(vertices, axis=0)
     # Files hold single precision; rounding first lets every derived number fit what is read back.
     vertices = vertices.astype(np.float32).astype(np.float64)
@@ -91,7 +89,7 @@ def build_object(name: str, blueprint: Blueprint, texture_size: int = 256) -> Ob
         vertices=vertices,
         faces=faces,
         uv=uv,
-        texture=picture,
+        texture=image,
         keypoints=surface.keypoints(vertices, np.zeros(3), symmetries),
         diameter=surface.diameter(vertices),
         symmetries=symmetries,
@@ -100,7 +98,3 @@ def build_object(name: str, blueprint: Blueprint, texture_size: int = 256) -> Ob
         specular=solid.specular,
         shininess=solid.shininess,
     )
-
-
-if __name__ == "__main__":
-    tyro.cli(BuildCommand, prog="python -m two_view_pose.assets.build").run()

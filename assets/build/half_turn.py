@@ -31,7 +31,7 @@ def quarter(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return mesh
 
 
-def four_quarters(
+def mirror_quarter(
     vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mirrors an unwrapped quarter at the planes x = 0 and y = 0.

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
-from two_view_pose.assets import solids
-from two_view_pose.assets.modelling import animals
-from two_view_pose.assets.size_fit import MAX_BEND
-from two_view_pose.assets.solid_mesh import mesh_solid
+from two_view_pose.assets.build import animals, solids
+from two_view_pose.assets.build.size_fit import MAX_BEND
+from two_view_pose.assets.build.solid_mesh import mesh_solid
 
 UNIT_BOX = np.array([[-1.2] * 3, [1.2] * 3])
 
@@ -81,7 +80,7 @@ def test_the_duck_stands_and_looks_like_one() -> None:
     base = mesh.vertices[mesh.vertices[:, 2] < mesh.bounds[0, 2] + 0.001]
     assert (base.min(axis=0) < mesh.center_mass)[:2].all()
     assert (base.max(axis=0) > mesh.center_mass)[:2].all()
-    rgb = solid.colour(meshed.to_solid(mesh.triangles_center), mesh.face_normals)
+    rgb = solid.color(meshed.to_solid(mesh.triangles_center), mesh.face_normals)
     assert rgb.shape == (len(mesh.faces), 3) and rgb.min() >= 0 and rgb.max() <= 1
     yellow = (rgb[:, 0] > 0.9) & (rgb[:, 1] > 0.7) & (rgb[:, 2] < 0.3)
     orange = (rgb[:, 0] > 0.8) & (rgb[:, 1] < 0.5) & (rgb[:, 2] < 0.3)

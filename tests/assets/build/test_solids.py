@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from two_view_pose.assets import solids
+from two_view_pose.assets.build import solids
 
 
 @pytest.fixture(scope="module")
@@ -95,10 +95,10 @@ def test_moved_and_mirrored(points: np.ndarray) -> None:
     np.testing.assert_array_equal(pair(points)[points[:, 0] > 0], part(points)[points[:, 0] > 0])
 
 
-def test_colours_follow_regions_and_nearest_parts() -> None:
+def test_colors_follow_regions_and_nearest_parts() -> None:
     red, blue, green = (1, 0, 0), (0, 0, 1), (0, 1, 0)
     left, right = solids.sphere((-1, 0, 0), 0.5), solids.sphere((1, 0, 0), 0.5)
-    parts = solids.coloured_parts((left, red), (right, blue))
+    parts = solids.colored_parts((left, red), (right, blue))
     at = np.array([(-1.5, 0, 0), (1.5, 0, 0), (1, 0, 0.5)])
     np.testing.assert_array_equal(parts(at, at), [red, blue, blue])
     spot = solids.painted(parts, (solids.sphere((1, 0, 0.5), 0.1), green))

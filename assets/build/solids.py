@@ -1,4 +1,4 @@
-"""Objects as formulas: signed distance functions, how they combine, and their colours.
+"""Objects as formulas: signed distance functions, how they combine, and their colors.
 
 A signed distance function maps points (N, 3) to (N,) values, negative inside. Ours are exact or a
 lower bound on the distance (ellipsoids, smooth unions), and their zero level is always exact. See
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 Sdf = Callable[[np.ndarray], np.ndarray]
 """Points (N, 3) to signed distances (N,), negative inside."""
 
-Colour = Callable[[np.ndarray, np.ndarray], np.ndarray]
+Color = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Points (N, 3) and unit outward normals (N, 3) to RGB (N, 3) in [0, 1]."""
 
 Vector = Sequence[float] | np.ndarray
@@ -28,7 +28,7 @@ class Solid:
 
     Attributes:
         sdf: its shape.
-        colour: its surface colour. Points are in solid coordinates, unit normals are those of the
+        color: its surface color. Points are in solid coordinates, unit normals are those of the
             finished mesh (`solid_mesh.MeshedSolid.to_solid` goes back from it).
         bounds: (2, 3) box to look for the surface in; it must contain it with a little room.
         edge_length: size of the meshing grid.
@@ -38,7 +38,7 @@ class Solid:
     """
 
     sdf: Sdf
-    colour: Colour
+    color: Color
     bounds: np.ndarray
     edge_length: float
     faces: int = 2500
@@ -241,10 +241,10 @@ def _smooth_min(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
     return smallest - np.maximum(width - np.abs(a - b), 0.0) ** 2 / (4 * width)
 
 
-def painted(base: Vector | Colour, *layers: tuple[Sdf, Vector]) -> Colour:
+def painted(base: Vector | Color, *layers: tuple[Sdf, Vector]) -> Color:
     """A ground painted over inside each region in turn: (region, RGB) pairs, the last on top."""
 
-    def colour(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    def color(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         if callable(base):
             rgb = np.array(base(points, normals), dtype=float)
         else:
@@ -253,15 +253,15 @@ def painted(base: Vector | Colour, *layers: tuple[Sdf, Vector]) -> Colour:
             rgb[region(points) < 0] = paint
         return rgb
 
-    return colour
+    return color
 
 
-def coloured_parts(*parts: tuple[Sdf, Vector]) -> Colour:
-    """Each point has the colour of the part whose surface is nearest: (part, RGB) pairs."""
+def colored_parts(*parts: tuple[Sdf, Vector]) -> Color:
+    """Each point has the color of the part whose surface is nearest: (part, RGB) pairs."""
     palette = np.array([paint for _, paint in parts], dtype=float)
 
-    def colour(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    def color(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         distances = np.stack([np.abs(part(points)) for part, _ in parts])
         return palette[distances.argmin(axis=0)]
 
-    return colour
+    return color

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..solids import (
+from .solids import (
     Solid,
     box,
     capsule,
-    coloured_parts,
+    colored_parts,
     cylinder,
     half_space,
     intersect,
@@ -72,8 +72,8 @@ def benchvise() -> Solid:
 
     blue, dark = (0.10, 0.26, 0.52), (0.30, 0.31, 0.33)
     grooves = [(box((15, 0, z), (40, 90, 2.0)), dark) for z in (188.0, 196.0, 204.0)]
-    colour = painted(
-        coloured_parts((cast, blue), (steel, STEEL), (knobs, RED)),
+    color = painted(
+        colored_parts((cast, blue), (steel, STEEL), (knobs, RED)),
         *bolts,
         *[(intersect(jaws, groove), paint) for groove, paint in grooves],
         (box((-80, 0, 162), (60, 60, 12)), STEEL),
@@ -85,7 +85,7 @@ def benchvise() -> Solid:
         (torus((-12, 0, 40), (0, 0, 1), 34, 4.0), dark),
     )
     bounds = np.array([(-118, -72, -6), (120, 72, 228)], dtype=float)
-    return Solid(shape, colour, bounds, edge_length=4.0, specular=0.5, shininess=0.5)
+    return Solid(shape, color, bounds, edge_length=4.0, specular=0.5, shininess=0.5)
 
 
 def driller() -> Solid:
@@ -134,8 +134,8 @@ def driller() -> Solid:
         (moved(box((36, 27, 0), (12, 8, 2.5)), (0, 0, 172), (angle, 0, 0)), WHITE)
         for angle in range(15, 375, 30)
     ]
-    colour = painted(
-        coloured_parts(
+    color = painted(
+        colored_parts(
             (motor, green),
             (grip, dark),
             (battery, dark),
@@ -159,7 +159,7 @@ def driller() -> Solid:
         (box((37, 0, 22), (16, 44, 12), 2), RED),
     )
     bounds = np.array([(-118, -46, -6), (128, 46, 222)], dtype=float)
-    return Solid(shape, colour, bounds, edge_length=3.8, specular=0.3, shininess=0.4)
+    return Solid(shape, color, bounds, edge_length=3.8, specular=0.3, shininess=0.4)
 
 
 def holepuncher() -> Solid:
@@ -206,8 +206,8 @@ def holepuncher() -> Solid:
         (box((44, y, 10), (8 if i % 2 else 14, 1.8, 4)), WHITE)
         for i, y in enumerate(np.arange(-45.0, 46.0, 10.0))
     ]
-    colour = painted(
-        coloured_parts(
+    color = painted(
+        colored_parts(
             (base, dark),
             (cheeks, STEEL),
             (back, STEEL),
@@ -222,7 +222,7 @@ def holepuncher() -> Solid:
         *ruler,
     )
     bounds = np.array([(-62, -64, -6), (64, 64, 104)], dtype=float)
-    return Solid(shape, colour, bounds, edge_length=2.8, specular=0.4, shininess=0.4)
+    return Solid(shape, color, bounds, edge_length=2.8, specular=0.4, shininess=0.4)
 
 
 def iron() -> Solid:
@@ -275,8 +275,8 @@ def iron() -> Solid:
 
     violet, pale, dark = (0.30, 0.22, 0.62), (0.90, 0.91, 0.93), (0.14, 0.14, 0.17)
     tank = intersect(half_space((10, 0, 0), (-1, 0, 0)), half_space((0, 0, 60), (0, 0, 1)))
-    colour = painted(
-        coloured_parts(
+    color = painted(
+        colored_parts(
             (handle, violet),
             (intersect(body, tank), (0.42, 0.68, 0.88)),
             (body, pale),
@@ -296,4 +296,4 @@ def iron() -> Solid:
         (box((-14, 0, 86), (14, 4, 8)), RED),
     )
     bounds = np.array([(-138, -66, -6), (138, 66, 152)], dtype=float)
-    return Solid(shape, colour, bounds, edge_length=4.0, specular=0.4, shininess=0.5)
+    return Solid(shape, color, bounds, edge_length=4.0, specular=0.4, shininess=0.5)

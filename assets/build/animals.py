@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..solids import (
+from .solids import (
     Sdf,
     Solid,
     box,
     capsule,
-    coloured_parts,
+    colored_parts,
     cylinder,
     ellipsoid,
     half_space,
@@ -61,7 +61,7 @@ def ape() -> Solid:
         union(ellipsoid((20, 0, 66), (15, 14, 10)), mirrored(sphere((19, 6, 74), 7.5), 1)),
         half_space((8, 0, 0), (-1, 0, 0)),
     )
-    colour = painted(
+    color = painted(
         fur,
         (ellipsoid((24, 0, 34), (22, 15, 19)), skin),
         (ellipsoid((-36, 0, 40), (18, 17, 24)), (0.52, 0.48, 0.44)),
@@ -78,7 +78,7 @@ def ape() -> Solid:
         (mirrored(intersect(sphere((38, 19, 3), 11), half_space((0, 0, 14), (0, 0, 1))), 1), skin),
     )
     bounds = np.array([(-45, -48, -5), (50, 48, 100)], dtype=float)
-    return Solid(shape, colour, bounds, edge_length=2.0, specular=0.15, shininess=0.2)
+    return Solid(shape, color, bounds, edge_length=2.0, specular=0.15, shininess=0.2)
 
 
 def cat() -> Solid:
@@ -170,8 +170,8 @@ def duck() -> Solid:
     shape = intersect(union(plumage, beak, smooth=2), floor)
 
     yellow = (0.98, 0.80, 0.10)
-    colour = painted(
-        coloured_parts((plumage, yellow), (beak, (0.93, 0.38, 0.06))),
+    color = painted(
+        colored_parts((plumage, yellow), (beak, (0.93, 0.38, 0.06))),
         (mirrored(ellipsoid((36, 12, 70), (8, 6.5, 7.5)), 1), WHITE),
         (mirrored(sphere((38.5, 11, 70), 5), 1), BLACK),
         (mirrored(sphere((40.5, 8.8, 73.0), 1.8), 1), WHITE),
@@ -180,4 +180,4 @@ def duck() -> Solid:
         (mirrored(box((-14, 42, 36), (22, 20, 2.4), 0.5), 1), (0.80, 0.50, 0.03)),
     )
     bounds = np.array([(-62, -48, -5), (65, 48, 98)], dtype=float)
-    return Solid(shape, colour, bounds, edge_length=2.2, specular=0.4, shininess=0.5)
+    return Solid(shape, color, bounds, edge_length=2.2, specular=0.4, shininess=0.5)
