@@ -9,12 +9,13 @@ export PYTHON TORCH_INDEX
 READY := $(VENV)/.ready
 BIN := $(VENV)/bin
 
-.PHONY: help demo test lint format assets wheel clean
+.PHONY: help demo test lint format bench assets wheel clean
 
 help:
 	@echo "make demo    one scene, two views, a pose before and after; writes demo.png"
 	@echo "make test    the test suite"
 	@echo "make lint    ruff and mypy"
+	@echo "make bench   times our work against alternatives; writes bench.json"
 	@echo "make format  lets ruff rewrite what it can"
 	@echo "make assets  rebuilds the thirteen objects from their solids"
 	@echo "make wheel   dist/two_view_pose-*.whl"
@@ -29,13 +30,16 @@ test: $(READY)
 lint: $(READY) build/lint/two_view_pose
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	MYPYPATH=build/lint $(BIN)/mypy -m two_view_pose -m two_view_pose.__main__ \
+	MYPYPATH=build/lint:tests $(BIN)/mypy -p benchmarks -m two_view_pose -m two_view_pose.__main__ \
 	  -p two_view_pose.agents -p two_view_pose.assets -p two_view_pose.envs \
 	  -p two_view_pose.pose_estimator
 
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+bench: $(READY)
+	$(BIN)/python tests/benchmarks --json bench.json
 
 assets: $(READY)
 	$(BIN)/python -m two_view_pose.assets.build

@@ -87,11 +87,6 @@ VERBS = {
         "envs.compare:compare",
         "all methods on the same two tests: tables, figures and a page",
     ),
-    "bench": Verb(
-        "envs.bench:BenchConfig",
-        "envs.bench:bench",
-        "how quick rendering and steps are, as ratios in one run",
-    ),
     "doctor": Verb(
         "envs.doctor:DoctorConfig",
         "envs.doctor:doctor",

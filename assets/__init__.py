@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -69,11 +69,13 @@ def split_name(name_or_path: str | Path) -> tuple[str | None, Path]:
 
 def load_objects(
     spec: str | Path | Iterable[str | Path] | None = None,
+    load: Callable[[str | Path], ObjectModel] = load_object,
 ) -> dict[str, ObjectModel]:
     """Several objects by name.
 
     Args:
         spec: names and paths in any mix, one of them, a folder of meshes, or None for the thirteen.
+        load: what loads each of them.
 
     Raises:
         ValueError: if two objects have the same name, ``spec`` is empty, or as `load_object`.
@@ -85,7 +87,7 @@ def load_objects(
     models: dict[str, ObjectModel] = {}
     for item in items:
         for part in _expand(item):
-            model = load_object(part)
+            model = load(part)
             if model.name in models:
                 raise ValueError(f"two objects are called {model.name!r}; rename a file")
             models[model.name] = model

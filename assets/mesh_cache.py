@@ -1,8 +1,8 @@
 """Imported meshes kept on the disk: what took a second or two is read back in milliseconds.
 
 An entry's name is the digest of all that its content depends on: the mesh file's bytes, the options
-of the import, and the code and the libraries that do it. So nothing ever goes out of date, and an
-entry that is read back is the imported object to the bit. The folder is
+of the import, the version of its code and the libraries that do it. So nothing ever goes out of
+date, and an entry that is read back is the imported object to the bit. The folder is
 ``$XDG_CACHE_HOME/two_view_pose/meshes`` (``~/.cache`` where that is not set); it may be deleted at
 any time, and where it cannot be written or read, meshes are imported every time.
 """
@@ -16,7 +16,6 @@ import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import fields
-from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -26,11 +25,9 @@ from ..pose_estimator.results import write_atomically
 from .object_model import ObjectModel
 
 _LIBRARIES = ("fast-simplification", "networkx", "numpy", "pillow", "scipy", "trimesh", "xatlas")
-_ALSO = ("bop_models_info.py", "geometry.py")
-"""Files of ``pose_estimator`` that take part in an import, beside those of this folder."""
 
 _POINTERS = (b"mtllib", b"TextureFile", b'"uri"')
-"""What stands in an OBJ, a PLY or a GLB file that takes its colours from other files."""
+"""What stands in an OBJ, a PLY or a GLB file that takes its colors from other files."""
 
 
 def cached(key: str | None, make: Callable[[], ObjectModel]) -> ObjectModel:
@@ -44,7 +41,7 @@ def cached(key: str | None, make: Callable[[], ObjectModel]) -> ObjectModel:
     if folder is None:
         return make()
     path = folder / f"{key}.npz"
-    # An entry that is missing, cut off or no entry at all is simply written anew.
+    # An entry that is missing, cut off or no entry at all is simply replaced.
     with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return _unpack(path.read_bytes())
     model = make()
@@ -53,13 +50,12 @@ def cached(key: str | None, make: Callable[[], ObjectModel]) -> ObjectModel:
     return model
 
 
-def mesh_key(path: Path, options: object, beside: Path | None = None) -> str | None:
+def mesh_key(path: Path, options: object) -> str | None:
     """The digest of all that the import of a mesh depends on; None if that cannot be told.
 
     Args:
         path: the mesh file. One that refers to other files (materials, textures) has no key.
-        options: of the import; their ``repr`` counts.
-        beside: another file that the import reads.
+        options: of the import, and the version of its code; their ``repr`` counts.
 
     Raises:
         OSError: if a file cannot be read.
@@ -67,11 +63,9 @@ def mesh_key(path: Path, options: object, beside: Path | None = None) -> str | N
     content = path.read_bytes()
     if any(pointer in content for pointer in _POINTERS):
         return None
-    digest = hashlib.sha256(_code_digest())
-    more = b"" if beside is None else beside.read_bytes()
-    for part in (repr((path.name, options)).encode(), content, more):
-        digest.update(len(part).to_bytes(8, "little"))
-        digest.update(part)
+    libraries = [(name, version(name)) for name in _LIBRARIES]
+    digest = hashlib.sha256(repr((path.name, options, libraries)).encode())
+    digest.update(content)
     return digest.hexdigest()
 
 
@@ -84,17 +78,6 @@ def cache_folder() -> Path | None:
         return Path.home() / ".cache" / "two_view_pose" / "meshes"
     except RuntimeError:
         return None
-
-
-@cache
-def _code_digest() -> bytes:
-    """Of the code that imports meshes, so that a change of it needs no number to be raised."""
-    digest = hashlib.sha256(repr([(name, version(name)) for name in _LIBRARIES]).encode())
-    here = Path(__file__).parent
-    ours = sorted(here.glob("*.py"))
-    for file in [*ours, *(here.parent / "pose_estimator" / name for name in _ALSO)]:
-        digest.update(file.read_bytes())
-    return digest.digest()
 
 
 def _pack(model: ObjectModel) -> bytes:

@@ -1,8 +1,8 @@
 """Anyone's mesh as an object: one texture, metres, few enough triangles, keypoints, resting poses.
 
-Per-vertex colours, per-face colours and textures are all read as colours of points spread densely
+Per-vertex colors, per-face colors and textures are all read as colors of points spread densely
 over the original surface, and baked from there. So the mesh may be thinned out, cut into charts
-and put together from many parts without a thought for where its colours came from.
+and put together from many parts without a thought for where its colors came from.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import re
 import zlib
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import fast_simplification
 import numpy as np
@@ -22,10 +21,7 @@ from ..pose_estimator.geometry import check_rigid
 from . import surface, texture
 from .mesh_cache import cached, mesh_key
 from .object_model import ObjectModel
-from .surface_colours import NORMAL_WEIGHT, sample_colours
-
-if TYPE_CHECKING:
-    from ..pose_estimator.bop_models_info import BopModelInfo
+from .surface_colours import NORMAL_WEIGHT, sample_colors
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 """What `import_mesh` reads."""
@@ -38,7 +34,8 @@ UNITS = {"m": 1.0, "mm": 1e-3}
 
 _METRES = (0.02, 1.0)
 _MILLIMETRES = (20.0, 1000.0)
-_SANE = (1e-3, 10.0)
+PLAUSIBLE_RANGE = (1e-3, 10.0)
+"""Diameters of objects, metres."""
 
 
 def import_mesh(
@@ -47,14 +44,14 @@ def import_mesh(
     *,
     unit: str = "auto",
     symmetries: np.ndarray | None = None,
+    diameter: float | None = None,
 ) -> ObjectModel:
     """Reads a mesh file; the second call with the same arguments returns the same instance.
 
     Other processes, and later ones, find the result on the disk: see `mesh_cache`.
 
     The object keeps the file's own frame, only scaled to metres, so that poses mean what they mean
-    for the file. The ninth keypoint is the centre of the bounding box. Where BOP's
-    ``models_info.json`` lies beside the file, symmetries, diameter and name come from there.
+    for the file. The ninth keypoint is the centre of the bounding box.
 
     Args:
         path: PLY, OBJ, STL or GLB; all parts of a scene become one object.
@@ -62,11 +59,14 @@ def import_mesh(
         unit: "m", "mm", or "auto": a diameter of 0.02 to 1 is taken as metres, of 20 to 1000 as
             millimetres.
         symmetries: (S, 4, 4) transforms in metres under which the object looks the same.
+        diameter: of the object as others measure it, metres; by default the largest distance
+            between two vertices, from which it may differ by a tenth.
 
     Raises:
         FileNotFoundError: if there is no such file.
         ValueError: if the file is no readable mesh, has no faces or NaN vertices, if its unit is
-            not evident or its size implausible, or ``symmetries`` are not rigid transforms.
+            not evident or its size implausible or not that of ``diameter``, or ``symmetries``
+            are not rigid transforms.
     """
     path = Path(path)
     if not path.is_file():
@@ -75,29 +75,41 @@ def import_mesh(
         raise ValueError(f"unit must be 'auto', 'm' or 'mm', got {unit!r}")
     given = None if symmetries is None else _check_symmetries(symmetries)
     state = path.stat()
-    return _import(path.resolve(), name, unit, given, state.st_mtime_ns, state.st_size)
+    options = (name, unit, given, diameter)
+    return _import(path.resolve(), *options, state.st_mtime_ns, state.st_size)
 
 
 @lru_cache(maxsize=64)
 def _import(
-    path: Path, name: str | None, unit: str, symmetries: bytes | None, modified: int, size: int
+    path: Path,
+    name: str | None,
+    unit: str,
+    symmetries: bytes | None,
+    diameter: float | None,
+    modified: int,
+    size: int,
 ) -> ObjectModel:
     """Imports or finds what was; ``modified`` and ``size`` make a changed file another entry."""
-    options = (name, unit, symmetries, MAX_FACES, TEXTURE_SIZE)
-    key = mesh_key(path, options, _info_file(path))
-    return cached(key, lambda: _make(path, name, unit, symmetries))
+    options = (name, unit, symmetries, diameter)
+    key = mesh_key(path, (*options, MAX_FACES, TEXTURE_SIZE, CACHE_VERSION))
+    return cached(key, lambda: _make(path, *options))
 
 
-def _make(path: Path, name: str | None, unit: str, symmetries: bytes | None) -> ObjectModel:
+CACHE_VERSION = 1
+"""Of what `_make` returns: raise it with every change to that, so that no old entry is found."""
+
+
+def _make(
+    path: Path, name: str | None, unit: str, symmetries: bytes | None, diameter: float | None
+) -> ObjectModel:
     """Imports."""
     parts = _read_parts(path)
-    info = _bop_info(path)
     measured = surface.diameter(np.concatenate([part.triangles.reshape(-1, 3) for part in parts]))
-    scale = UNITS["mm"] if unit == "auto" and info is not None else _scale(measured, unit, path)
-    if info is not None and not 0.9 < measured * scale / info.diameter < 1.1:
+    scale = _scale(measured, unit, path)
+    if diameter is not None and not 0.9 < measured * scale / diameter < 1.1:
         raise ValueError(
-            f"{path} has a diameter of {measured * scale:g} m, but models_info.json beside it says "
-            f"{info.diameter:g} m"
+            f"{path} has a diameter of {measured * scale:g} m, but diameter is given as "
+            f"{diameter:g} m"
         )
     for part in parts:
         part.apply_scale(scale)
@@ -106,33 +118,31 @@ def _make(path: Path, name: str | None, unit: str, symmetries: bytes | None) -> 
     outward = mesh.is_winding_consistent and mesh.volume > 0
     if not outward:
         mesh.fix_normals()
-    mesh = _lighten(mesh)
-    points, normals, colours = sample_colours(parts)
+    mesh = _decimate(mesh)
+    points, normals, colors = sample_colors(parts)
     # Normals tell the two sides of a thin wall apart, where the file has them right.
     reach = NORMAL_WEIGHT * measured * scale if outward else 0.0
     tree = KDTree(np.concatenate([points, reach * normals], axis=1))
 
-    def colour_at(places: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    def color_at(places: np.ndarray, directions: np.ndarray) -> np.ndarray:
         _, nearest = tree.query(np.concatenate([places, reach * directions], axis=1))
-        return colours[nearest]
+        return colors[nearest]
 
     vertices, faces, uv = texture.unwrap(mesh, TEXTURE_SIZE, tight=False)
-    picture = texture.bake(vertices, faces, uv, colour_at, TEXTURE_SIZE, supersampling=1)
+    image = texture.bake(vertices, faces, uv, color_at, TEXTURE_SIZE, supersampling=1)
     transforms = np.eye(4)[None]
     if symmetries is not None:
         transforms = np.frombuffer(symmetries).reshape(-1, 4, 4).copy()
-    elif info is not None:
-        transforms = info.symmetries
     centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     return ObjectModel(
-        name=name or (info.name if info is not None and info.name else path.stem),
+        name=name or path.stem,
         obj_id=_number(path.stem),
         vertices=vertices,
         faces=faces,
         uv=uv,
-        texture=picture,
+        texture=image,
         keypoints=surface.keypoints(vertices, centre, transforms),
-        diameter=measured * scale if info is None else info.diameter,
+        diameter=measured * scale if diameter is None else diameter,
         symmetries=transforms,
         points=surface.even_points(mesh),
         stable_poses=surface.stable_poses(mesh),
@@ -140,7 +150,7 @@ def _make(path: Path, name: str | None, unit: str, symmetries: bytes | None) -> 
 
 
 def _read_parts(path: Path) -> list[trimesh.Trimesh]:
-    """All meshes of a file in its own frame and unit, each with its colours."""
+    """All meshes of a file in its own frame and unit, each with its colors."""
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise ValueError(f"{path.name} must be one of {', '.join(MESH_SUFFIXES)}")
     try:
@@ -177,16 +187,16 @@ def _scale(diameter: float, unit: str, path: Path) -> float:
             "the file"
         )
     metres = diameter * UNITS[unit]
-    if not _SANE[0] <= metres <= _SANE[1]:
+    if not PLAUSIBLE_RANGE[0] <= metres <= PLAUSIBLE_RANGE[1]:
         raise ValueError(
             f"{path} has a diameter of {diameter:g} {unit} = {metres:g} m; objects must be "
-            f"{_SANE[0]:g} to {_SANE[1]:g} m"
+            f"{PLAUSIBLE_RANGE[0]:g} to {PLAUSIBLE_RANGE[1]:g} m"
         )
     return UNITS[unit]
 
 
 def _weld(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """One mesh without colours; vertices at one place become one."""
+    """One mesh without colors; vertices at one place become one."""
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
     vertices = np.concatenate([part.vertices for part in parts])
     faces = np.concatenate([part.faces + o for part, o in zip(parts, offsets, strict=False)])
@@ -196,7 +206,7 @@ def _weld(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     return mesh
 
 
-def _lighten(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def _decimate(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Quadric edge collapse to ``MAX_FACES``."""
     if len(mesh.faces) <= MAX_FACES:
         return mesh
@@ -205,27 +215,12 @@ def _lighten(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         vertices, faces = fast_simplification.simplify(
             mesh.vertices / size, mesh.faces, target_count=MAX_FACES, agg=pace
         )
-        light = trimesh.Trimesh(vertices * size, faces)
-        light.update_faces(light.nondegenerate_faces(height=0.0))
-        light.remove_unreferenced_vertices()
-        if len(light.faces) <= MAX_FACES:
+        decimated = trimesh.Trimesh(vertices * size, faces)
+        decimated.update_faces(decimated.nondegenerate_faces(height=0.0))
+        decimated.remove_unreferenced_vertices()
+        if len(decimated.faces) <= MAX_FACES:
             break
-    return light
-
-
-def _info_file(path: Path) -> Path | None:
-    """The BOP ``models_info.json`` beside a file of a BOP dataset, or None."""
-    info = path.with_name("models_info.json")
-    return info if re.fullmatch(r"obj_\d+", path.stem) and info.is_file() else None
-
-
-def _bop_info(path: Path) -> BopModelInfo | None:
-    """What a BOP ``models_info.json`` beside the file says of it, or None."""
-    if _info_file(path) is None:
-        return None
-    from ..pose_estimator.bop_models_info import read_models_info
-
-    return read_models_info(path.parent.parent, path.parent.name).get(_number(path.stem))
+    return decimated
 
 
 def _number(stem: str) -> int:

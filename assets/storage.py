@@ -6,7 +6,6 @@ An object whose surface must not be passed on is ``object.json`` alone, with its
 from __future__ import annotations
 
 import json
-import os
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+from ..pose_estimator.results import write_atomically
 from .object_model import ObjectModel
 
 FORMAT_VERSION = 1
@@ -45,13 +45,13 @@ def save_object(model: ObjectModel, folder: str | Path, *, surface: bool = True)
     libraries = ("numpy", "trimesh", "xatlas") if surface else ("numpy",)
     numbers["made_with"] = {name: version(name) for name in libraries}
     if surface:
-        _write(folder / MESH_FILE, _glb(model))
+        write_atomically(folder / MESH_FILE, _glb(model))
     else:
         numbers["box"] = [model.vertices.min(axis=0).tolist(), model.vertices.max(axis=0).tolist()]
     arrays = _ARRAYS if surface else _WITHOUT_SURFACE
     numbers |= {key: getattr(model, key).tolist() for key in arrays}
     text = ",\n".join(f" {json.dumps(key)}: {json.dumps(value)}" for key, value in numbers.items())
-    _write(folder / NUMBERS_FILE, f"{{\n{text}\n}}\n".encode())
+    write_atomically(folder / NUMBERS_FILE, f"{{\n{text}\n}}\n".encode())
 
 
 def _glb(model: ObjectModel) -> bytes:
@@ -123,10 +123,3 @@ def _read_glb(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
         np.asarray(mesh.visual.uv, dtype=np.float32),
         np.array(picture),
     )
-
-
-def _write(path: Path, data: bytes) -> None:
-    """Writes under a temporary name and renames, so that no reader meets half a file."""
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-    temporary.write_bytes(data)
-    temporary.replace(path)

@@ -1,4 +1,4 @@
-"""The colours of a mesh, however it stores them, as colours of points on its surface."""
+"""The colors of a mesh, however it stores them, as colors of points on its surface."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import trimesh
 from .texture import sample_texture
 
 PLAIN = np.array([0.62, 0.62, 0.62])
-"""Colour of a mesh that has none, RGB in [0, 1]."""
+"""Color of a mesh that has none, RGB in [0, 1]."""
 
 NORMAL_WEIGHT = 0.05
 """A normal's length in object diameters, for searches over position and normal together."""
@@ -19,17 +19,17 @@ _SAMPLES = 150_000
 _SEED = 0
 
 
-def sample_colours(
+def sample_colors(
     parts: Sequence[trimesh.Trimesh], count: int = _SAMPLES
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Spreads points over all parts, by area, and reads the colour under each.
+    """Spreads points over all parts, by area, and reads the color under each.
 
     Args:
-        parts: meshes with per-vertex colours, per-face colours, a texture, or nothing.
+        parts: meshes with per-vertex colors, per-face colors, a texture, or nothing.
         count: about how many points in all; each part gets at least a few.
 
     Returns:
-        Points (N, 3), unit normals (N, 3) and RGB colours (N, 3) in [0, 1].
+        Points (N, 3), unit normals (N, 3) and RGB colors (N, 3) in [0, 1].
     """
     rng = np.random.default_rng(_SEED)
     total = sum(part.area for part in parts)
@@ -38,14 +38,14 @@ def sample_colours(
         for part in parts
         if part.area > 0
     ]
-    points, normals, colours = (np.concatenate(columns) for columns in zip(*pieces, strict=True))
-    return points, normals, colours
+    points, normals, colors = (np.concatenate(columns) for columns in zip(*pieces, strict=True))
+    return points, normals, colors
 
 
 def _sample(
     part: trimesh.Trimesh, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, normals and colours of one part."""
+    """Points, normals and colors of one part."""
     areas = part.area_faces
     face = rng.choice(len(areas), size=count, p=areas / areas.sum())
     u, v = np.sqrt(rng.random(count)), rng.random(count)
@@ -55,18 +55,18 @@ def _sample(
     triangles = part.triangles
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    return points, normals[face], _colours(part, face, weights)
+    return points, normals[face], _colors(part, face, weights)
 
 
-def _colours(part: trimesh.Trimesh, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def _colors(part: trimesh.Trimesh, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """RGB (N, 3) in [0, 1] at barycentric ``weights`` (N, 3) of the faces ``face`` (N,)."""
     visual = part.visual
     if isinstance(visual, trimesh.visual.TextureVisuals):
-        picture, factor = _picture_and_factor(visual.material)
-        if picture is None or visual.uv is None:
+        image, factor = _image_and_factor(visual.material)
+        if image is None or visual.uv is None:
             return np.tile(factor, (len(face), 1))
         uv = np.einsum("nk,nki->ni", weights, np.asarray(visual.uv)[part.faces[face], :2])
-        return np.clip(sample_texture(picture, uv) * factor, 0.0, 1.0)
+        return np.clip(sample_texture(image, uv) * factor, 0.0, 1.0)
     if visual is not None and visual.kind == "vertex":
         rgb = np.asarray(visual.vertex_colors)[:, :3] / 255.0
         return np.einsum("nk,nki->ni", weights, rgb[part.faces[face]])
@@ -75,18 +75,18 @@ def _colours(part: trimesh.Trimesh, face: np.ndarray, weights: np.ndarray) -> np
     return np.tile(PLAIN, (len(face), 1))
 
 
-def _picture_and_factor(
+def _image_and_factor(
     material: trimesh.visual.material.Material,
 ) -> tuple[np.ndarray | None, np.ndarray]:
-    """A material's RGB texture (H, W, 3) uint8 or None, and the colour it is multiplied with."""
+    """A material's RGB texture (H, W, 3) uint8 or None, and the color it is multiplied with."""
     if isinstance(material, trimesh.visual.material.PBRMaterial):
         image = material.baseColorTexture
         factor = material.baseColorFactor
-        colour = np.ones(3) if factor is None else np.asarray(factor[:3], dtype=float)
+        color = np.ones(3) if factor is None else np.asarray(factor[:3], dtype=float)
         if factor is not None and np.asarray(factor).dtype.kind in "ui":
-            colour = colour / 255.0
+            color = color / 255.0
     else:
         image = getattr(material, "image", None)
-        # Exporters write any diffuse colour beside a texture, and viewers then ignore it.
-        colour = np.ones(3) if image is not None else np.asarray(material.main_color[:3]) / 255.0
-    return (None if image is None else np.asarray(image.convert("RGB"))), colour
+        # Exporters write any diffuse color beside a texture, and viewers then ignore it.
+        color = np.ones(3) if image is not None else np.asarray(material.main_color[:3]) / 255.0
+    return (None if image is None else np.asarray(image.convert("RGB"))), color

@@ -1,8 +1,8 @@
-"""One UV texture for any surface: unwrapping, and baking a colour function into an atlas.
+"""One UV texture for any surface: unwrapping, and baking a color function into an atlas.
 
-MuJoCo draws colours from a texture only, and a mesh may bring its colours per vertex, per face, in
+MuJoCo draws colors from a texture only, and a mesh may bring its colors per vertex, per face, in
 a texture of its own or (our thirteen objects) as a function of the place on the surface. All of
-them are a function from surface points to colours here, and that function is sampled at every
+them are a function from surface points to colors here, and that function is sampled at every
 texel of one atlas.
 """
 
@@ -15,8 +15,8 @@ import trimesh
 import xatlas
 from scipy import ndimage
 
-ColourFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Maps surface points (N, 3) and unit normals (N, 3) to RGB colours (N, 3) in [0, 1]."""
+ColorFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Maps surface points (N, 3) and unit normals (N, 3) to RGB colors (N, 3) in [0, 1]."""
 
 PADDING = 6
 """Texels between charts, so that two levels of mip-maps do not mix neighbouring charts."""
@@ -64,29 +64,27 @@ def bake(
     vertices: np.ndarray,
     faces: np.ndarray,
     uv: np.ndarray,
-    colour_at: ColourFunction,
+    color_at: ColorFunction,
     size: int = 256,
-    normals: np.ndarray | None = None,
     supersampling: int = 2,
 ) -> np.ndarray:
-    """Samples a colour function over the atlas of a surface.
+    """Samples a color function over the atlas of a surface.
 
     Args:
         vertices: (V, 3) positions.
         faces: (F, 3) indices into ``vertices``.
         uv: (V, 2) texture coordinates, v up.
-        colour_at: called once with the surface points and normals under the covered texels.
+        color_at: called once with the surface points and face normals under the covered texels.
         size: side of the texture in texels.
-        normals: (V, 3) normals for ``colour_at``; each face's own normal by default.
-        supersampling: how many samples along each side of a texel are averaged; 1 does for colours
+        supersampling: how many samples along each side of a texel are averaged; 1 does for colors
             without sharp borders.
 
     Returns:
-        (size, size, 3) uint8 RGB, row 0 at v = 1. Texels that no chart covers carry the colour of
+        (size, size, 3) uint8 RGB, row 0 at v = 1. Texels that no chart covers carry the color of
         the nearest one that is covered.
 
     Raises:
-        ValueError: if no texel is covered, or ``colour_at`` returns a wrong shape.
+        ValueError: if no texel is covered, or ``color_at`` returns a wrong shape.
     """
     fine = size * supersampling
     rows, columns, face, weights = rasterise(uv[faces].astype(np.float64), fine)
@@ -94,28 +92,25 @@ def bake(
         raise ValueError(f"uv covers no texel of a {size} x {size} texture")
     corners = vertices[faces[face]]
     points = np.einsum("nk,nki->ni", weights, corners)
-    if normals is None:
-        directions = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    else:
-        directions = np.einsum("nk,nki->ni", weights, normals[faces[face]])
+    directions = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(directions, axis=1, keepdims=True)
-    colours = np.asarray(colour_at(points, directions / np.maximum(length, 1e-300)))
-    if colours.shape != points.shape:
+    colors = np.asarray(color_at(points, directions / np.maximum(length, 1e-300)))
+    if colors.shape != points.shape:
         raise ValueError(
-            f"colour_at must return one RGB colour a point, {points.shape}, got {colours.shape}"
+            f"color_at must return one RGB color a point, {points.shape}, got {colors.shape}"
         )
-    picture = np.zeros((fine, fine, 3))
+    image = np.zeros((fine, fine, 3))
     covered = np.zeros((fine, fine), dtype=bool)
-    picture[rows, columns] = np.clip(colours, 0.0, 1.0)
+    image[rows, columns] = np.clip(colors, 0.0, 1.0)
     covered[rows, columns] = True
     nearest = ndimage.distance_transform_edt(~covered, return_distances=False, return_indices=True)
-    picture = picture[nearest[0], nearest[1]]
-    blocks = picture.reshape(size, supersampling, size, supersampling, 3)
+    image = image[nearest[0], nearest[1]]
+    blocks = image.reshape(size, supersampling, size, supersampling, 3)
     return np.round(blocks.mean(axis=(1, 3)) * 255.0).astype(np.uint8)
 
 
 def sample_texture(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Bilinear colours (N, 3) in [0, 1] of an RGB texture (H, W, 3) at uv (N, 2), repeating."""
+    """Bilinear colors (N, 3) in [0, 1] of an RGB texture (H, W, 3) at uv (N, 2), repeating."""
     height, width = texture.shape[:2]
     x = (uv[:, 0] % 1.0) * width - 0.5
     y = (1.0 - uv[:, 1] % 1.0) * height - 0.5

@@ -15,8 +15,8 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 
-from ..assets import load_objects
 from ..assets.object_model import ObjectModel
+from ..pose_estimator.bop_objects import load_objects
 from ..pose_estimator.estimate import PoseEstimate
 from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, View, check_rigid
 from ..pose_estimator.metrics import add_or_add_s

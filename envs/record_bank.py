@@ -183,7 +183,7 @@ def write_part(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 def make_header(config: RecordBankConfig) -> BankHeader:
     """What a bank of simulated scenes says about itself."""
-    from ..assets import load_objects
+    from ..pose_estimator.bop_objects import load_objects
     from .two_view_pose import CANDIDATE_VIEWS
     from .view_bank import BankHeader
 

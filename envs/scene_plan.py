@@ -50,7 +50,8 @@ def dataset_objects(config: GenerateConfig) -> dict[str, ObjectModel]:
     Raises:
         ValueError: if a distractor is a folder of several, or as ``load_objects``.
     """
-    from ..assets import OBJECT_NAMES, load_objects
+    from ..assets import OBJECT_NAMES
+    from ..pose_estimator.bop_objects import load_objects
 
     if not config.distractors:
         return load_objects(config.objects or None)

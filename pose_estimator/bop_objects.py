@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,9 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from .. import assets
 from ..assets import surface
+from ..assets.object_model import ObjectModel
 from .bop_fields import MM
 from .bop_models_info import BopModelInfo, read_models_info
 
@@ -39,6 +42,45 @@ class EvaluationObject:
     def symmetric(self) -> bool:
         """Whether ADD-S is the measure for this object."""
         return len(self.symmetries) > 1
+
+
+def load_objects(
+    spec: str | Path | Iterable[str | Path] | None = None,
+) -> dict[str, ObjectModel]:
+    """`assets.load_objects`; meshes of a BOP dataset bring what ``models_info.json`` says of them.
+
+    Where that file lies beside a mesh ``obj_000005.ply``, the object's symmetries, diameter and
+    name come from there, and the mesh is in millimetres.
+
+    Raises:
+        ValueError: as `assets.load_objects`, or if ``models_info.json`` is broken or of another
+            size than the mesh.
+        FileNotFoundError: as `assets.load_objects`.
+    """
+    return assets.load_objects(spec, _load_object)
+
+
+def _load_object(name_or_path: str | Path) -> ObjectModel:
+    name, path = assets.split_name(name_or_path)
+    described = path.resolve().with_name("models_info.json")
+    if not (re.fullmatch(r"obj_\d+", path.stem) and path.is_file() and described.is_file()):
+        return assets.load_object(name_or_path)
+    folder = described.parent
+    info = read_models_info(folder.parent, folder.name).get(int(path.stem.removeprefix("obj_")))
+    if info is None:
+        return assets.load_object(name_or_path)
+    from ..assets.mesh_import import import_mesh
+
+    try:
+        return import_mesh(
+            path,
+            name or info.name,
+            unit="mm",
+            symmetries=info.symmetries,
+            diameter=info.diameter,
+        )
+    except ValueError as error:
+        raise ValueError(f"{error}; it is described in {described}") from error
 
 
 def has_models(root: str | Path) -> bool:

@@ -9,7 +9,7 @@ import trimesh
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from ..assets.surface_colours import sample_colours
+from ..assets.surface_colours import sample_colors
 from .bop_raw_models import RawModel
 from .data_checks_cameras import rigid_or_nan
 from .data_findings import Findings
@@ -89,8 +89,8 @@ def _other_unit(ratio: float) -> str:
 
 
 def _check_symmetries(model: RawModel, mesh: trimesh.Trimesh, findings: Findings) -> None:
-    points, _, colours = sample_colours([mesh], _POINTS)
-    dense, _, dense_colours = sample_colours([mesh], _DENSE)
+    points, _, colours = sample_colors([mesh], _POINTS)
+    dense, _, dense_colours = sample_colors([mesh], _DENSE)
     tree = KDTree(dense)
 
     def moved(T: np.ndarray) -> tuple[float, float]:

@@ -11,6 +11,7 @@ import numpy as np
 from .. import assets
 from ..assets.object_model import ObjectModel
 from .bop_models_info import BopModelInfo, read_models_info
+from .bop_objects import load_objects
 
 _SAME = 1e-4
 """Metres within which the bounding boxes of one model agree."""
@@ -29,11 +30,11 @@ def training_objects(data: Path, objects: Sequence[str]) -> dict[str, ObjectMode
         FileNotFoundError: if a mesh is missing.
     """
     if objects:
-        return assets.load_objects(list(objects))
+        return load_objects(list(objects))
     own = own_models(data)
     if own is None:
         return assets.load_objects(None)
-    models = assets.load_objects(own)
+    models = load_objects(own)
     print(f"objects of {data / 'models'}: {', '.join(models)}")
     return models
 

@@ -32,7 +32,6 @@ OPTIONS = {
     "seed device json",
     "evaluate-agent": "policy scene episodes seed seeds bank figures device json",
     "compare": "out quick methods weights noisy-weights data device threads report-only",
-    "bench": "repeats weights scenes seed json",
     "doctor": "quick json",
 }
 

@@ -1,6 +1,5 @@
 """Meshes in every format that people have, made here with trimesh."""
 
-import json
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from scipy.spatial.transform import Rotation
 from two_view_pose import assets
 from two_view_pose.assets import mesh_import
 from two_view_pose.assets.mesh_import import import_mesh
@@ -22,8 +20,8 @@ def small_textures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mesh_import, "TEXTURE_SIZE", 128)
 
 
-def colours_at(model: assets.ObjectModel, count: int = 3000) -> tuple[np.ndarray, np.ndarray]:
-    """Random surface points (N, 3) and the texture's colours there (N, 3)."""
+def colors_at(model: assets.ObjectModel, count: int = 3000) -> tuple[np.ndarray, np.ndarray]:
+    """Random surface points (N, 3) and the texture's colors there (N, 3)."""
     mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
     points, face = trimesh.sample.sample_surface(mesh, count, seed=1)
     weights = trimesh.triangles.points_to_barycentric(mesh.triangles[face], points)
@@ -41,12 +39,12 @@ def bottle(subdivisions: int = 2, scale: float = 0.1) -> trimesh.Trimesh:
 
 
 def by_place(points: np.ndarray, scale: float = 0.1) -> np.ndarray:
-    """Colours (N, 3) that vary linearly over the bottle."""
+    """Colors (N, 3) that vary linearly over the bottle."""
     return np.clip(points / scale * (0.8, 0.6, 0.5) + (0.4, 0.3, 0.2), 0.0, 1.0)
 
 
 def paint_vertices(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Colours per vertex."""
+    """Colors per vertex."""
     rgb = np.round(by_place(mesh.vertices) * 255).astype(np.uint8)
     mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=rgb)
     return mesh
@@ -77,37 +75,37 @@ def paint_texture(mesh: trimesh.Trimesh, physical: bool) -> trimesh.Trimesh:
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
-def test_vertex_colours_survive(tmp_path: Path, suffix: str) -> None:
+def test_vertex_colors_survive(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"egg{suffix}"
     paint_vertices(bottle()).export(path)
     model = import_mesh(path)
     assert model.name == "egg"
-    points, colours = colours_at(model)
-    assert np.abs(colours - by_place(points)).mean() < 0.02
+    points, colors = colors_at(model)
+    assert np.abs(colors - by_place(points)).mean() < 0.02
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".glb"])
-def test_face_colours_survive(tmp_path: Path, suffix: str) -> None:
+def test_face_colors_survive(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"egg{suffix}"
     paint_faces(bottle()).export(path)
-    points, colours = colours_at(import_mesh(path))
+    points, colors = colors_at(import_mesh(path))
     clear = np.abs(points[:, 2] - 0.03) > 0.01
     upper = points[:, 2] > 0.03
     expected = np.where(upper[:, None], (0, 200 / 255, 0), (200 / 255, 0, 0))
-    assert np.abs(colours - expected)[clear].mean() < 0.02
+    assert np.abs(colors - expected)[clear].mean() < 0.02
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".glb"])
 def test_textures_survive(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"egg{suffix}"
     paint_texture(bottle(), physical=suffix == ".glb").export(path)
-    points, colours = colours_at(import_mesh(path))
+    points, colors = colors_at(import_mesh(path))
     clear = np.abs(points[:, 2] - 0.03) > 0.005
     expected = np.where(points[:, 2:] > 0.03, (0, 0, 250 / 255), (250 / 255, 250 / 255, 0))
-    assert np.abs(colours - expected)[clear].mean() < 0.02
+    assert np.abs(colors - expected)[clear].mean() < 0.02
 
 
-def test_a_mesh_without_colours_is_grey(tmp_path: Path) -> None:
+def test_a_mesh_without_colors_is_grey(tmp_path: Path) -> None:
     path = tmp_path / "egg.stl"
     bottle().export(path)
     model = import_mesh(path)
@@ -115,18 +113,18 @@ def test_a_mesh_without_colours_is_grey(tmp_path: Path) -> None:
     assert len(np.unique(model.vertices, axis=0)) == len(bottle().vertices)  # STL is welded
 
 
-def test_scenes_become_one_object_with_all_colours(tmp_path: Path) -> None:
+def test_scenes_become_one_object_with_all_colors(tmp_path: Path) -> None:
     scene = trimesh.Scene()
-    for place, colour in ((-0.05, (255, 0, 0, 255)), (0.05, (0, 0, 255, 255))):
+    for place, color in ((-0.05, (255, 0, 0, 255)), (0.05, (0, 0, 255, 255))):
         box = trimesh.creation.box(extents=(0.04, 0.04, 0.04))
-        box.visual.face_colors = colour
+        box.visual.face_colors = color
         scene.add_geometry(box, transform=trimesh.transformations.translation_matrix([place, 0, 0]))
     scene.export(tmp_path / "pair.glb")
     model = import_mesh(tmp_path / "pair.glb")
     np.testing.assert_allclose(model.extents, (0.14, 0.04, 0.04), rtol=1e-5)
-    points, colours = colours_at(model)
+    points, colors = colors_at(model)
     expected = np.where(points[:, :1] < 0, (1, 0, 0), (0, 0, 1))
-    assert np.abs(colours - expected).mean() < 0.01
+    assert np.abs(colors - expected).mean() < 0.01
 
 
 def test_the_files_frame_is_kept(tmp_path: Path) -> None:
@@ -155,15 +153,15 @@ def test_implausible_sizes_are_refused_with_the_way_out(tmp_path: Path, scale: f
         import_mesh(tmp_path / "egg.ply")
 
 
-def test_heavy_meshes_are_thinned_and_keep_their_colours(tmp_path: Path) -> None:
+def test_heavy_meshes_are_thinned_and_keep_their_colors(tmp_path: Path) -> None:
     mesh = paint_vertices(bottle(subdivisions=5))
     assert len(mesh.faces) > 20_000
     mesh.export(tmp_path / "egg.ply")
     model = import_mesh(tmp_path / "egg.ply")
     assert 3000 < len(model.faces) <= 4000
     np.testing.assert_allclose(model.extents, mesh.extents, rtol=0.01)
-    points, colours = colours_at(model)
-    assert np.abs(colours - by_place(points)).mean() < 0.02
+    points, colors = colors_at(model)
+    assert np.abs(colors - by_place(points)).mean() < 0.02
 
 
 def test_inside_out_meshes_are_turned(tmp_path: Path) -> None:
@@ -185,43 +183,7 @@ def test_an_egg_lies_and_a_box_stands(tmp_path: Path) -> None:
     assert import_mesh(tmp_path / "cone.ply").stable_poses[0][2, 2] < 0.9
 
 
-def test_bop_folder_gives_number_symmetries_and_diameter(tmp_path: Path) -> None:
-    folder = tmp_path / "models"
-    folder.mkdir()
-    mesh = trimesh.creation.cylinder(radius=20, height=90, sections=32)
-    mesh.export(folder / "obj_000007.ply")
-    low, size = mesh.bounds[0], mesh.extents
-    entry = {"diameter": 99.0}
-    entry |= {f"min_{axis}": low[k] for k, axis in enumerate("xyz")}
-    entry |= {f"size_{axis}": size[k] for k, axis in enumerate("xyz")}
-    flip = np.diag([1.0, -1.0, -1.0, 1.0])
-    flip[2, 3] = 2.0
-    entry["symmetries_discrete"] = [flip.ravel().tolist()]
-    entry["symmetries_continuous"] = [{"axis": [0, 0, 1], "offset": [5, 0, 0]}]
-    (folder / "models_info.json").write_text(json.dumps({"7": entry}))
-
-    model = import_mesh(folder / "obj_000007.ply")
-    assert model.obj_id == 7
-    assert model.diameter == pytest.approx(0.099)
-    assert model.symmetric and len(model.symmetries) >= 2 * 32
-    np.testing.assert_array_equal(model.symmetries[0], np.eye(4))
-    # Independent: a turn about the axis through (5, 0, 0) mm leaves that point where it is.
-    turns = [S for S in model.symmetries if S[2, 2] > 0]
-    for S in turns:
-        np.testing.assert_allclose(
-            S[:3, :3] @ [0.005, 0, 0.01] + S[:3, 3], [0.005, 0, 0.01], atol=1e-9
-        )
-    angles = [Rotation.from_matrix(S[:3, :3]).magnitude() for S in turns]
-    assert np.diff(np.sort(angles)).max() < np.deg2rad(12)
-    (folder / "models_info.json").write_text(json.dumps({"7": entry | {"diameter": 50.0}}))
-    with pytest.raises(
-        ValueError, match=r"diameter of 0\.098\d* m, but models_info\.json .* 0\.05 m"
-    ):
-        import_mesh(folder / "obj_000007.ply", "another")
-    assert any(np.allclose(S[:3, 3], [0, 0, 0.002]) and S[2, 2] < 0 for S in model.symmetries)
-
-
-def test_given_symmetries_are_checked(tmp_path: Path) -> None:
+def test_what_is_given_is_checked(tmp_path: Path) -> None:
     path = tmp_path / "egg.ply"
     bottle().export(path)
     half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -231,6 +193,9 @@ def test_given_symmetries_are_checked(tmp_path: Path) -> None:
         import_mesh(path, symmetries=np.eye(3))
     with pytest.raises(ValueError, match=r"symmetries\[1\] is not rigid"):
         import_mesh(path, symmetries=np.stack([np.eye(4), np.diag([2.0, 2.0, 2.0, 1.0])]))
+    assert import_mesh(path, diameter=0.105).diameter == 0.105
+    with pytest.raises(ValueError, match=r"diameter of 0\.\d+ m, but diameter is given as 0\.2 m"):
+        import_mesh(path, diameter=0.2)
     with pytest.raises(ValueError, match="unit must be"):
         import_mesh(path, unit="inch")
 

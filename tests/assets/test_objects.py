@@ -40,8 +40,8 @@ def welded(model: assets.ObjectModel) -> trimesh.Trimesh:
     return trimesh.Trimesh(places, index.reshape(-1)[model.faces], process=False)
 
 
-def surface_colours(model: assets.ObjectModel, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
-    """Random surface points (N, 3) and the texture's colours there (N, 3)."""
+def surface_colors(model: assets.ObjectModel, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
+    """Random surface points (N, 3) and the texture's colors there (N, 3)."""
     mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
     points, face = trimesh.sample.sample_surface(mesh, count, seed=1)
     weights = trimesh.triangles.points_to_barycentric(mesh.triangles[face], points)
@@ -81,8 +81,8 @@ def test_textures_cover_the_surface(model: assets.ObjectModel) -> None:
     mesh = welded(model)
     density = areas.sum() * model.texture.shape[0] ** 2 / (1e6 * mesh.area)
     assert density > 0.2  # texels for each square millimetre
-    _, colours = surface_colours(model)
-    distinct = np.unique(np.round(5 * colours), axis=0)
+    _, colors = surface_colors(model)
+    distinct = np.unique(np.round(5 * colors), axis=0)
     assert len(distinct) >= 3  # painted, not plain
 
 
@@ -130,11 +130,11 @@ def test_half_a_turn_changes_nothing(name: str) -> None:
     turned = model.vertices @ model.symmetries[1, :3, :3].T
     assert KDTree(model.vertices).query(turned)[0].max() == 0.0
 
-    points, colours = surface_colours(model, 60_000)
+    points, colors = surface_colors(model, 60_000)
     turned = points @ model.symmetries[1, :3, :3].T
     distances, twin = KDTree(points).query(turned)
     assert distances.max() < 0.003
-    assert np.abs(colours[twin] - colours).mean() < 0.02
+    assert np.abs(colors[twin] - colors).mean() < 0.02
 
     turned_keypoints = model.keypoints @ model.symmetries[1, :3, :3].T
     assert KDTree(model.keypoints).query(turned_keypoints)[0].max() < 1e-12
@@ -144,14 +144,14 @@ def test_half_a_turn_changes_nothing(name: str) -> None:
 def test_no_other_object_looks_the_same_after_half_a_turn(name: str) -> None:
     model = assets.load_object(name)
     assert not model.symmetric
-    points, colours = surface_colours(model)
+    points, colors = surface_colors(model)
     tree = KDTree(points)
     for axis in range(3):
         flip = -np.ones(3)
         flip[axis] = 1.0
         distances, twin = tree.query(points * flip)
         moved = distances.mean() / model.diameter
-        repainted = np.abs(colours[twin] - colours).mean()
+        repainted = np.abs(colors[twin] - colors).mean()
         assert moved > 0.015 or repainted > 0.05
 
 

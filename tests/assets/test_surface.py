@@ -5,7 +5,6 @@ import pytest
 import trimesh
 from scipy.spatial.distance import cdist, pdist
 from two_view_pose.assets import surface
-from two_view_pose.assets.half_turn import four_quarters, quarter
 
 
 def test_farthest_points_against_brute_force() -> None:
@@ -61,16 +60,3 @@ def test_support_margin_of_a_box() -> None:
     assert surface.support_margin(box, tolerance=1e-4) == pytest.approx(0.03)
     box.vertices[:, 0] += 2.0 * box.vertices[:, 2]  # leans over: shifts the centre of mass by 0.2
     assert surface.support_margin(box, tolerance=1e-4) == pytest.approx(-0.15)
-
-
-def test_four_quarters_close_a_sphere() -> None:
-    sphere = trimesh.creation.icosphere(subdivisions=3, radius=0.05)
-    part = quarter(sphere)
-    assert part.vertices[:, :2].min() == 0.0
-    assert part.area == pytest.approx(sphere.area / 4, rel=0.01)
-    uv = np.asarray(part.vertices[:, :2])
-    vertices, faces, whole_uv = four_quarters(part.vertices, part.faces, uv)
-    whole = trimesh.Trimesh(vertices, faces, process=False)
-    assert whole.is_watertight and whole.is_winding_consistent
-    assert whole.volume == pytest.approx(sphere.volume, rel=0.01)
-    np.testing.assert_allclose(whole_uv, np.abs(vertices[:, :2]), atol=1e-12)

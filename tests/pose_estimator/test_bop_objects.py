@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 from solid_scenes import IDS, solid
 from two_view_pose.pose_estimator.bop_models import write_evaluation_models, write_models
-from two_view_pose.pose_estimator.bop_objects import dataset_objects
+from two_view_pose.pose_estimator.bop_objects import dataset_objects, load_objects
 
 
 @pytest.fixture
@@ -73,3 +74,37 @@ def test_what_is_wrong_is_named(root, tmp_path):
     (root / "models" / "models_info.json").unlink()
     with pytest.raises(ValueError, match=r"cannot read .*models_info\.json"):
         dataset_objects(root)
+
+
+def test_a_mesh_of_a_dataset_brings_number_symmetries_and_diameter(tmp_path: Path) -> None:
+    folder = tmp_path / "models"
+    folder.mkdir()
+    mesh = trimesh.creation.cylinder(radius=20, height=90, sections=32)
+    mesh.export(folder / "obj_000007.ply")
+    low, size = mesh.bounds[0], mesh.extents
+    entry = {"diameter": 99.0}
+    entry |= {f"min_{axis}": low[k] for k, axis in enumerate("xyz")}
+    entry |= {f"size_{axis}": size[k] for k, axis in enumerate("xyz")}
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    flip[2, 3] = 2.0
+    entry["symmetries_discrete"] = [flip.ravel().tolist()]
+    entry["symmetries_continuous"] = [{"axis": [0, 0, 1], "offset": [5, 0, 0]}]
+    (folder / "models_info.json").write_text(json.dumps({"7": entry}))
+
+    (model,) = load_objects(folder / "obj_000007.ply").values()
+    assert model.obj_id == 7
+    assert model.diameter == pytest.approx(0.099)
+    assert model.symmetric and len(model.symmetries) >= 2 * 32
+    np.testing.assert_array_equal(model.symmetries[0], np.eye(4))
+    # Independent: a turn about the axis through (5, 0, 0) mm leaves that point where it is.
+    turns = [S for S in model.symmetries if S[2, 2] > 0]
+    for S in turns:
+        np.testing.assert_allclose(
+            S[:3, :3] @ [0.005, 0, 0.01] + S[:3, 3], [0.005, 0, 0.01], atol=1e-9
+        )
+    angles = [Rotation.from_matrix(S[:3, :3]).magnitude() for S in turns]
+    assert np.diff(np.sort(angles)).max() < np.deg2rad(12)
+    (folder / "models_info.json").write_text(json.dumps({"7": entry | {"diameter": 50.0}}))
+    with pytest.raises(ValueError, match=r"diameter of 0\.098\d* m, but .* 0\.05 m.*info\.json"):
+        load_objects([f"another={folder / 'obj_000007.ply'}"])
+    assert any(np.allclose(S[:3, 3], [0, 0, 0.002]) and S[2, 2] < 0 for S in model.symmetries)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from benchmarks.metrics import add_s_of_bop, pose_pairs
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from two_view_pose.pose_estimator import metrics
-from two_view_pose.pose_estimator.bench_metrics import add_s_of_bop, pose_pairs
 from two_view_pose.pose_estimator.geometry import make_transform, transform
 from two_view_pose.pose_estimator.nearest_points import NearestPoints
 

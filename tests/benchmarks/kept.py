@@ -1,0 +1,96 @@
+"""What was measured so far, in the results file: an interrupted run resumes there.
+
+Every record says under which conditions it was measured, and each group ends with one that says how
+long it took: a group without it was interrupted and is measured again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import two_view_pose
+from two_view_pose.pose_estimator.processor import describe_processor, number_format
+from two_view_pose.pose_estimator.results import read_results, versions, write_results
+
+from .config import GROUPS
+from .stopwatch import Record
+
+FINISHED = "group_seconds"
+"""Metric of the record that ends a group."""
+
+WITH_NETWORKS = {"network", *(name for name, group in GROUPS.items() if group.needs_weights)}
+"""Groups whose figures depend on the number format that our networks compute in."""
+
+
+def conditions(**options: Any) -> dict[str, str]:
+    """What figures depend on: the processor, our code and the options, as tags of a record."""
+    package = Path(two_view_pose.__file__).parent
+    folders = sorted(path.parent for path in package.glob("*/__init__.py"))
+    sha = hashlib.sha256()
+    for folder in (*folders, Path(__file__).parent):
+        for path in sorted(folder.rglob("*.py")):
+            sha.update(path.read_bytes())
+    said = " ".join(f"{name}={value}" for name, value in options.items())
+    return {"processor": describe_processor(), "code": sha.hexdigest()[:16], "options": said}
+
+
+@dataclass
+class Measured:
+    """The records of a run.
+
+    Attributes:
+        path: the results file, or None to keep them in memory only.
+        seed: of the run.
+        conditions: see :func:`conditions`.
+        records: what has been measured.
+    """
+
+    path: Path | None
+    seed: int
+    conditions: dict[str, str]
+    records: list[Record] = field(default_factory=list)
+
+    def resume(self, groups: Sequence[str]) -> str:
+        """Resumes after the finished groups of an interrupted run; says what it does, and why.
+
+        Raises:
+            ValueError: if there is a file at ``path`` that is not a results file.
+        """
+        if self.path is None or not self.path.exists():
+            return ""
+        document = read_results(self.path)
+        found = document["records"]
+        changed = [
+            f"{name} {record.get(name, 'unknown')!r}, now {value!r}"
+            for name, value in self.conditions.items()
+            for record in found[:1]
+            if record.get(name) != value
+        ]
+        head = {"versions": versions(), "seed": self.seed}
+        changed += [name for name, value in head.items() if document[name] != value]
+        if changed:
+            return f"{self.path} has other conditions and is measured anew: {'; '.join(changed)}"
+        done = {record["group"] for record in found if record["metric"] == FINISHED}
+        if done.issuperset(groups):
+            return f"{self.path} is complete and is measured anew"
+        self.records = [record for record in found if record["group"] in done]
+        return f"{self.path} resumes after {', '.join(g for g in groups if g in done) or 'nothing'}"
+
+    def finished(self, group: str) -> bool:
+        """Whether all of a group is there."""
+        return any(r["metric"] == FINISHED and r["group"] == group for r in self.records)
+
+    def add(self, group: str, line: Record) -> None:
+        """Adds a line, and writes the file, whole or not at all."""
+        networks = {"number_format": number_format()} if group in WITH_NETWORKS else {}
+        self.records.append({**line, **networks, "group": group, **self.conditions})
+        if self.path is not None:
+            write_results(self.path, self.records, command="bench", seed=self.seed)
+
+    def finish(self, group: str, seconds: float) -> None:
+        """Notes that a group is complete, and how long it took."""
+        self.add(group, {"metric": FINISHED, "value": seconds, "unit": "s"})
