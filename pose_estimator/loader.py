@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
 
-from .distributed import own_cores, rank, world_size
+from .distributed import rank, threads_per_rank, world_size
 
 Sample = Mapping[str, Any]
 """Arrays and numbers by name."""
@@ -102,7 +102,7 @@ def default_workers(device: torch.device) -> int:
     """How many workers feed a device: a GPU all cores but one, 16 at most; a processor one."""
     if device.type == "cpu":
         return 1
-    return min(_MOST_WORKERS, max(1, own_cores() - 1))
+    return min(_MOST_WORKERS, max(1, threads_per_rank() - 1))
 
 
 def _work_on_one_core(worker: int) -> None:

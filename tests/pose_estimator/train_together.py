@@ -18,7 +18,7 @@ from two_view_pose.pose_estimator import crops, optimizer, training_config
 from two_view_pose.pose_estimator.crops import pack_dataset
 from two_view_pose.pose_estimator.dataset import TrainingSet
 from two_view_pose.pose_estimator.distributed import (
-    first_alone,
+    rank_zero_first,
     in_parallel,
     process_group,
     rank,
@@ -108,7 +108,7 @@ def main(dataset: Path, out: Path) -> None:
         save_file(ended, out / f"ended-{rank()}.safetensors")
         save_file(gradient(dataset), out / f"gradient-{rank()}.safetensors")
         try:
-            first_alone(partial(int, "none"))
+            rank_zero_first(partial(int, "none"))
         except ValueError as error:
             said["error"] = str(error)
         (out / f"said-{rank()}.json").write_text(json.dumps(said))
