@@ -36,19 +36,11 @@ class CutAndPasteConfig:
         occlude: probability that another object is pasted over the crop.
         background: probability that everything but the target is replaced.
         collages: share of the new backgrounds that are drawn (``collage``) instead of cut out.
-
-    Raises:
-        ValueError: if one is not from 0 to 1.
     """
 
     occlude: float = 0.0
     background: float = 0.0
     collages: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("occlude", "background", "collages"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"cut-and-paste: {name} must be 0 to 1, got {getattr(self, name)}")
 
 
 class CropPaster:

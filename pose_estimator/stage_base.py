@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,7 +77,7 @@ class StageBase:
         """What draws the one thing that the samples of a batch have in common, if any."""
         return None
 
-    def batches(self, start: int) -> Iterator[Batch]:
+    def batches(self, start: int) -> Generator[Batch, None, None]:
         """Batches from number ``start`` to the last, on the device.
 
         Raises:
@@ -90,6 +90,14 @@ class StageBase:
             )
         drawn = NumberedBatches(self.drawing(), self.batch, self.seed, self.choosing())
         return load(drawn, range(start, self.steps), self.workers, self.device)
+
+    def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss of a batch, and its parts for the log."""
+        raise NotImplementedError
+
+    def validate(self) -> dict[str, float]:
+        """Numbers on held-out scenes."""
+        raise NotImplementedError
 
     def held_out_batches(self) -> Iterator[Batch]:
         """The same batches of held-out samples each time, on the device."""

@@ -6,10 +6,10 @@ import contextlib
 import ctypes
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
@@ -26,6 +26,9 @@ from .distributed import (
 )
 from .optimizer import HybridOptimizer
 
+if TYPE_CHECKING:
+    from .stage_base import StageBase
+
 _WARM_UP = 200
 """Steps until the full learning rate, in stages that are not short."""
 
@@ -34,38 +37,6 @@ _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_MAX = -1, -2, -4
 
 Log = Callable[[str, int, dict[str, float]], None]
 """Takes a stage's name, a step, and numbers by name."""
-
-
-class Stage(Protocol):
-    """One thing to train.
-
-    Attributes:
-        name: of the checkpoint files.
-        module: whose trainable parameters are optimised.
-        steps: how many in all.
-        learning_rate: its maximum.
-    """
-
-    name: str
-    steps: int
-    learning_rate: float
-
-    @property
-    def module(self) -> nn.Module:
-        """What is trained."""
-        ...
-
-    def batches(self, start: int) -> Iterator[Any]:
-        """Batches from number ``start`` to the last at least."""
-        ...
-
-    def loss(self, batch: Any) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss of a batch, and its parts for the log."""
-        ...
-
-    def validate(self) -> dict[str, float]:
-        """Numbers on held-out scenes."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -111,7 +82,7 @@ def learning_rate(step: int, steps: int, maximum: float, cycles: int = 1) -> flo
     return maximum * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
 
 
-def run_stage(stage: Stage, config: LoopConfig, log: Log) -> int:
+def run_stage(stage: StageBase, config: LoopConfig, log: Log) -> int:
     """Trains a stage to its last step or the deadline, from where its last checkpoint left off.
 
     Processes that train together (see ``distributed.py``) end with the same weights; rank 0 alone
@@ -141,7 +112,7 @@ class _Run:
         cycles: how many have ended.
     """
 
-    def __init__(self, stage: Stage, config: LoopConfig, log: Log):
+    def __init__(self, stage: StageBase, config: LoopConfig, log: Log):
         self.stage, self.config, self.log = stage, config, log
         self.optimizer = HybridOptimizer(stage.module, stage.learning_rate)
         self.averaged: dict[str, Tensor] = {}
@@ -158,7 +129,7 @@ class _Run:
         batch_loss = in_parallel(_Loss(stage))
         late = False
         with (
-            contextlib.closing(stage.batches(self.step)) as source,  # type: ignore[type-var]
+            contextlib.closing(stage.batches(self.step)) as source,
             tqdm(
                 total=stage.steps, initial=self.step, desc=stage.name, unit="step",
                 mininterval=5.0, disable=not first,
@@ -248,7 +219,7 @@ class _Run:
 class _Loss(nn.Module):
     """A stage's loss as a module, whose gradients DistributedDataParallel can average."""
 
-    def __init__(self, stage: Stage):
+    def __init__(self, stage: StageBase):
         super().__init__()
         self.module = stage.module
         self._loss = stage.loss
@@ -258,7 +229,7 @@ class _Loss(nn.Module):
         return loss, {name: part.detach() for name, part in parts.items()}
 
 
-def keep_freed_memory() -> None:
+def tune_malloc() -> None:
     """Tells glibc to keep what is freed for the next step, instead of returning it to the system.
 
     Every step allocates the same large buffers; mapping them again each time cost a fifth of a

@@ -52,12 +52,12 @@ def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) 
 
     from .device import describe, uses_bfloat16
     from .distributed import rank, rank_zero_first, threads_per_rank, world_size
-    from .trainer import keep_freed_memory
+    from .trainer import tune_malloc
     from .weights import save_weights
 
     if config.threads or world_size() > 1:
         torch.set_num_threads(config.threads or threads_per_rank())
-    keep_freed_memory()
+    tune_malloc()
     torch.backends.cudnn.benchmark = True  # shapes stay, so searching the fastest kernels pays
     torch.manual_seed(config.seed)
     networks = start_networks(config).to(device)
@@ -251,7 +251,7 @@ def train_stage(
             deadline=deadline,
             lr_cycles=config.lr_cycles,
         )
-        step = run_stage(stage, loop, log)  # type: ignore[arg-type]
+        step = run_stage(stage, loop, log)
     else:
         load_checkpoint(stage.module, checkpoint)
         step = read_numbers(checkpoint)["step"]

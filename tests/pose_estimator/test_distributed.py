@@ -23,13 +23,13 @@ from two_view_pose.pose_estimator import distributed
 from two_view_pose.pose_estimator.checkpoints import read_numbers
 from two_view_pose.pose_estimator.distributed import (
     agreed,
-    rank_zero_first,
+    convert_sync_batchnorms,
     in_parallel,
-    threads_per_rank,
     own_device,
     process_group,
     rank,
-    convert_sync_batchnorms,
+    rank_zero_first,
+    threads_per_rank,
     world_size,
 )
 from two_view_pose.pose_estimator.weights import read_header
