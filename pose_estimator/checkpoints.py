@@ -25,8 +25,8 @@ def save_checkpoint(
         state: further tensors by name, of the optimizer for example.
         numbers: kept with them, ``step`` among them.
     """
-    tensors = {f"{_MODEL}{name}": tensor for name, tensor in module.state_dict().items()} | state
-    contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
+    tensors = {f"{_MODEL}{name}": tensor for name, tensor in module.state_dict().items()}
+    contiguous = {name: tensor.contiguous() for name, tensor in {**tensors, **state}.items()}
     write_atomically(path, save(contiguous, {name: str(n) for name, n in numbers.items()}))
 
 

@@ -142,14 +142,14 @@ class Answers(NamedTuple):
         motions: B poses.
         truth: (B, 9, 3) true keypoints, m.
         T_true: (B, 4, 4).
-        index: (B,) of which object.
+        objects: (B,) which object each is of.
     """
 
     keypoints: Tensor
     motions: RigidMotions
     truth: Tensor
     T_true: Tensor
-    index: Tensor
+    objects: Tensor
 
 
 class KeypointStage(FrozenFeatureStage):
@@ -168,7 +168,7 @@ class KeypointStage(FrozenFeatureStage):
         for batch in self.held_out_batches():
             answers = self.answers(batch)
             distance = (answers.keypoints - answers.truth).norm(dim=-1).mean(1)
-            errors.append((distance / self.diameters[answers.index]).cpu().numpy())
+            errors.append((distance / self.diameters[answers.objects]).cpu().numpy())
             hits += poses_correct(answers, self.held_out.models)
         return {
             "keypoint_over_diameter": float(np.mean(np.concatenate(errors))),
@@ -182,7 +182,7 @@ def poses_correct(answers: Answers, models: Sequence[ObjectModel]) -> list[bool]
     rotations, translations, truths = (
         part.cpu().numpy().astype(np.float64) for part in (*answers.motions, answers.T_true)
     )
-    indices = answers.index.tolist()
+    indices = answers.objects.tolist()
     for R, t, T_true, index in zip(rotations, translations, truths, indices, strict=True):
         model = models[index]
         found = np.isfinite(R).all() and np.isfinite(t).all()

@@ -58,8 +58,8 @@ def discs(objects: list[int], frames: list[int]) -> CropPack:
     )
 
 
-@pytest.fixture(autouse=True)
-def _few_collages(monkeypatch) -> None:
+@pytest.fixture
+def few_collages(monkeypatch) -> None:
     """A training draws as many as it keeps crops, in seconds."""
     monkeypatch.setattr(cut_and_paste, "BANK", 8)
 
@@ -151,6 +151,7 @@ def test_the_same_draw_whatever_was_drawn_before(three):
         assert all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
+@pytest.mark.usefixtures("few_collages")
 def test_nothing_to_paste_is_told():
     alone = discs([0, 0], [0, 1])
     with pytest.raises(ValueError, match="needs a second object"):
@@ -176,6 +177,7 @@ def drawn(config: CutAndPasteConfig, pack: CropPack, targets: int) -> CropPaster
     return CropPaster(pack, np.arange(targets), config)
 
 
+@pytest.mark.usefixtures("few_collages")
 def test_drawn_backgrounds_need_no_other_picture():
     """Where every frame shows all objects, nothing can be cut out to stand behind one."""
     full = discs([0, 1, 2], [0, 0, 0])
@@ -187,6 +189,7 @@ def test_drawn_backgrounds_need_no_other_picture():
     assert np.array_equal(known > 0, mask > 127)
 
 
+@pytest.mark.usefixtures("few_collages")
 def test_a_share_of_the_backgrounds_is_drawn(three):
     paster = drawn(CutAndPasteConfig(background=1.0, collages=0.5), three, 5)
     crop, mask, _ = red_disc()
@@ -197,6 +200,7 @@ def test_a_share_of_the_backgrounds_is_drawn(three):
     assert 15 <= cut <= 45
 
 
+@pytest.mark.usefixtures("few_collages")
 def test_a_frame_keeps_its_targets_before_a_drawn_background():
     """Two targets whose stored crops lie at known places of the frame."""
     pack = discs([0, 1, 2], [0, 0, 1])
@@ -222,6 +226,7 @@ def test_a_frame_keeps_its_targets_before_a_drawn_background():
     assert none_drawn.paste_frame(frame, 0, np.random.default_rng(3)) is frame
 
 
+@pytest.mark.usefixtures("few_collages")
 def test_distractors_have_colours_of_objects_and_other_shapes():
     paster = drawn(CutAndPasteConfig(background=1.0, collages=1.0), three_like(), 3)
     frame = np.full((240, 320, 3), 60, np.uint8)
@@ -254,9 +259,11 @@ def test_blending_is_a_weighted_mean():
 
 
 def test_the_mask_of_a_sample_is_where_its_colour_is(pack, boxes):
-    bent = AugmentationConfig(erase=0, noise=0, blur=0)
+    jitter = AugmentationConfig(
+        erase=0, noise=0, blur=0, brightness=0, contrast=0, white_balance=0
+    )  # fmt: skip
     training = TrainingSet(
-        pack, boxes, FeatureConfig(), bent, cut_and_paste=CutAndPasteConfig(occlude=1.0)
+        pack, boxes, FeatureConfig(), jitter, cut_and_paste=CutAndPasteConfig(occlude=1.0)
     )
     rng = np.random.default_rng(0)
     hidden = 0
