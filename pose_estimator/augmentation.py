@@ -243,7 +243,9 @@ def augment_colors(
     if _happens(config.shading, rng):
         out = _vary_light(out, rng)
     if _happens(config.low_resolution, rng):
-        out = _simulate_low_resolution(out, rng.uniform(0.35, 0.8))
+        share = rng.uniform(0.35, 0.8)  # of the rows and columns
+        small = cv2.resize(out, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+        out = cv2.resize(small, out.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     if _happens(config.blur, rng):
         out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.4, 1.2))
     if _happens(config.motion_blur, rng):
@@ -283,13 +285,6 @@ def _vary_light(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         side = np.cos(angle) * x[None] + np.sin(angle) * y[:, None] > middle
         smooth = smooth * np.where(side, rng.uniform(0.4, 0.9), 1.0).astype(np.float32)
     return cv2.multiply(image, cv2.merge([smooth] * 3), dtype=cv2.CV_8U)
-
-
-def _simulate_low_resolution(image: np.ndarray, share: float) -> np.ndarray:
-    """The image as it would look with ``share`` of its rows and columns."""
-    height, width = image.shape[:2]
-    small = cv2.resize(image, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
-    return cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
 def _motion_kernel(rng: np.random.Generator) -> np.ndarray:

@@ -76,21 +76,14 @@ class CropPaster:
             for number in numbers
         ]
         shown = np.unique(pack.object_index[targets])
-        wanted = [
-            (what, any(len(pieces[number]) for number in shown))
-            for what, probability, pieces in (
-                ("a second object to put before one", config.occlude, self._occluders),
-                ("a frame that lacks an object to put behind it",
-                 config.background * (not self._collages), self._backgrounds),
-            )
-            if probability > 0
-        ]  # fmt: skip
-        drawn_behind = bool(self._collages) and config.background > 0
-        if wanted and not drawn_behind and not any(possible for _, possible in wanted):
-            raise ValueError(
-                f"cut-and-paste needs {' or '.join(what for what, _ in wanted)}, "
-                "and the dataset has none"
-            )
+        needs: dict[str, list[np.ndarray]] = {}
+        if config.occlude:
+            needs["a second object to put before one"] = self._occluders
+        if config.background and not self._collages:
+            needs["a frame that lacks an object to put behind it"] = self._backgrounds
+        possible = any(len(pieces[number]) for pieces in needs.values() for number in shown)
+        if needs and not possible and not (config.background and self._collages):
+            raise ValueError(f"cut-and-paste needs {' or '.join(needs)}, and the dataset has none")
 
     def paste(
         self,

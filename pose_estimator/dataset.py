@@ -180,11 +180,11 @@ class TrainingSet:
             with_depth: whether the samples have depth maps, where the dataset has them.
 
         Raises:
-            ValueError: if no scene shows an object in two pictures.
+            ValueError: if no scene shows an object in two images.
         """
         if not any(self._pairs):
             raise ValueError(
-                "no scene of the dataset shows an object in two pictures, and two views are "
+                "no scene of the dataset shows an object in two images, and two views are "
                 "trained: generate --views 2 at least"
             )
         index = rng.choice([k for k in self.known if self._pairs[k]])

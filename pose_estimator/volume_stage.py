@@ -83,7 +83,7 @@ class VolumeStage(KeypointStage):
         mean, covariance, _ = (part.unflatten(0, (count, 2)) for part in vote(out))
         K = self.to_grid @ batch["K"]
         truth = self.place(T_true, index)
-        mean, covariance = self.agree(
+        mean, covariance = self.relabel_votes(
             mean, covariance, _projections(K, batch["T_second_ref"]), truth, index
         )
         diameter = self.diameters[index]
@@ -105,7 +105,7 @@ class VolumeStage(KeypointStage):
         """The poses that a level's keypoints mean, differentiably."""
         return solve(self.keypoints[out["index"]], level.keypoints.float(), out["diameter"])
 
-    def agree(
+    def relabel_votes(
         self, mean: Tensor, covariance: Tensor, projection: Tensor, truth: Tensor, index: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Renumbers votes on symmetric objects to the pose that is trained.

@@ -202,7 +202,7 @@ def test_the_volume_stage_sees_one_pose_in_both_views(
     other = pixels[stage.permutations[1, 1]]
     mean = torch.stack([other, pixels])[None].clone()
     covariance = torch.arange(9.0)[:, None, None].expand(9, 2, 2).expand(1, 2, 9, 2, 2).clone()
-    mean, covariance = stage.agree(mean, covariance, projection, truth, torch.tensor([1]))
+    mean, covariance = stage.relabel_votes(mean, covariance, projection, truth, torch.tensor([1]))
     assert torch.allclose(mean[0, 0], pixels) and torch.allclose(mean[0, 1], pixels)
     assert torch.equal(covariance[0, 0, :, 0, 0], stage.permutations[1, 1].float())
     assert np.array_equal(covariance[0, 1, :, 0, 0].numpy(), np.arange(9))
