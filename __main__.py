@@ -47,11 +47,6 @@ VERBS = {
         "envs.record_bank:record_bank",
         "records every second view of many scenes, to train and test on",
     ),
-    "cut-and-paste": Verb(
-        "pose_estimator.cut_and_paste_command:CutAndPasteCommand",
-        "pose_estimator.cut_and_paste_command:cut_and_paste",
-        "puts pictures together from objects cut out of a BOP data set",
-    ),
     "check-data": Verb(
         "pose_estimator.check_data:CheckDataConfig",
         "pose_estimator.check_data:check_data",

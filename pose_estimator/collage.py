@@ -1,4 +1,4 @@
-"""Pictures full of edges and colours that show nothing: what stands behind things on real desks.
+"""Images full of edges and colors that show nothing: what stands behind things on real desks.
 
 Overlapping leaves of all sizes have the edges of photographs ("dead leaves": Lee, Mumford and
 Huang, IJCV 2001; Baradad et al., "Learning to See by Looking at Noise", NeurIPS 2021), and are
@@ -17,7 +17,7 @@ _LETTERS = np.array(list("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ01
 
 
 def draw_collage(rng: np.random.Generator, size: int) -> np.ndarray:
-    """Draws a picture of overlapping leaves, lines and letters on a cloudy ground.
+    """Draws a image of overlapping leaves, lines and letters on a cloudy ground.
 
     Args:
         rng: decides everything.
@@ -26,8 +26,8 @@ def draw_collage(rng: np.random.Generator, size: int) -> np.ndarray:
     Returns:
         (size, size, 3) uint8 RGB.
     """
-    palette = [_colour(rng) for _ in range(int(rng.integers(3, 9)))]
-    picture = _clouds(rng, size, palette)
+    palette = [_color(rng) for _ in range(int(rng.integers(3, 9)))]
+    image = _clouds(rng, size, palette)
     # Radii with a density of r^-2: fewer small ones than in Lee et al., where r^-3 leaves no size
     # out; what is seen of a background in a crop are its larger parts.
     smallest, largest = size / 50, size / rng.uniform(2.0, 6.0)
@@ -35,15 +35,15 @@ def draw_collage(rng: np.random.Generator, size: int) -> np.ndarray:
     radii = 1 / ((1 - shares) / smallest + shares / largest)
     for radius in radii if rng.uniform() < 0.5 else np.sort(radii)[::-1]:
         free = rng.uniform() < 0.15
-        colour = _colour(rng) if free else palette[rng.integers(len(palette))]
-        draw_leaf(picture, rng, float(radius), colour, rng.uniform(0, size, 2))
+        color = _color(rng) if free else palette[rng.integers(len(palette))]
+        draw_leaf(image, rng, float(radius), color, rng.uniform(0, size, 2))
     for _ in range(int(rng.integers(0, 4))):
-        _draw_text(picture, rng, palette[rng.integers(len(palette))])
+        _draw_text(image, rng, palette[rng.integers(len(palette))])
     light = cv2.resize(
         rng.uniform(0.55, 1.15, (3, 3)).astype(np.float32), (size, size),
         interpolation=cv2.INTER_LINEAR,
     )  # fmt: skip
-    return np.clip(picture * light[..., None], 0, 255).astype(np.uint8)
+    return np.clip(image * light[..., None], 0, 255).astype(np.uint8)
 
 
 def draw_markers(rng: np.random.Generator, size: int) -> np.ndarray:
@@ -59,7 +59,7 @@ def draw_markers(rng: np.random.Generator, size: int) -> np.ndarray:
     cells = int(rng.integers(2, 7))
     side = size // cells
     paper = rng.integers(190, 256)
-    picture = np.full((size, size), paper, np.uint8)
+    image = np.full((size, size), paper, np.uint8)
     border = max(1, side // 8)
     for row in range(cells):
         for column in range(cells):
@@ -69,13 +69,13 @@ def draw_markers(rng: np.random.Generator, size: int) -> np.ndarray:
             if inner < 1 or rng.uniform() < 0.1:
                 continue
             y, x = row * side + border, column * side + border
-            picture[y : y + inner, x : x + inner] = cv2.resize(
+            image[y : y + inner, x : x + inner] = cv2.resize(
                 code, (inner, inner), interpolation=cv2.INTER_NEAREST
             )
-    return cv2.merge([picture] * 3)
+    return cv2.merge([image] * 3)
 
 
-def _colour(rng: np.random.Generator) -> tuple[float, ...]:
+def _color(rng: np.random.Generator) -> tuple[float, ...]:
     """Often strong, sometimes grey, RGB in 0 to 255."""
     saturation = rng.uniform(0.4, 1.0) if rng.uniform() < 0.6 else rng.beta(0.8, 6.0)
     rgb = colorsys.hsv_to_rgb(rng.uniform(), saturation, rng.beta(1.2, 0.9))
@@ -83,7 +83,7 @@ def _colour(rng: np.random.Generator) -> tuple[float, ...]:
 
 
 def _clouds(rng: np.random.Generator, size: int, palette: list[tuple[float, ...]]) -> np.ndarray:
-    """A smooth mixture of two colours with noise of several octaves, (size, size, 3) uint8."""
+    """A smooth mixture of two colors with noise of several octaves, (size, size, 3) uint8."""
     mix = np.zeros((size, size), np.float32)
     cells, weight = int(rng.integers(2, 6)), 0.6
     while cells < size:
@@ -96,19 +96,19 @@ def _clouds(rng: np.random.Generator, size: int, palette: list[tuple[float, ...]
 
 
 def draw_leaf(
-    picture: np.ndarray,
+    image: np.ndarray,
     rng: np.random.Generator,
     radius: float,
-    colour: Sequence[float],
+    color: Sequence[float],
     centre: np.ndarray,
 ) -> None:
     """Draws a rectangle, an ellipse, a polygon or a line, in place.
 
     Args:
-        picture: (H, W, 3) uint8.
+        image: (H, W, 3) uint8.
         rng: decides kind, shape and turn.
         radius: half the larger side in pixels.
-        colour: RGB, 0 to 255.
+        color: RGB, 0 to 255.
         centre: (2,) pixels.
     """
     kind = rng.choice(["rectangle", "ellipse", "polygon", "line"], p=[0.4, 0.25, 0.2, 0.15])
@@ -116,14 +116,14 @@ def draw_leaf(
     axes = radius * np.array([1.0, rng.uniform(0.25, 1.0)])
     if kind == "ellipse":
         box = (centre.tolist(), (2 * axes).tolist(), float(np.degrees(angle)))
-        cv2.ellipse(picture, box, colour, -1, cv2.LINE_AA)
+        cv2.ellipse(image, box, color, -1, cv2.LINE_AA)
         return
     cos, sin = np.cos(angle), np.sin(angle)
     if kind == "line":
         step = 2 * radius * np.array([cos, sin])
         start, end = (np.rint(centre + s * step).astype(int).tolist() for s in (-1, 1))
         width = int(rng.integers(1, max(2, round(radius / 4)) + 1))
-        cv2.line(picture, start, end, colour, width, cv2.LINE_AA)
+        cv2.line(image, start, end, color, width, cv2.LINE_AA)
         return
     if kind == "rectangle":
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * axes
@@ -131,15 +131,15 @@ def draw_leaf(
         around = np.sort(rng.uniform(0, 2 * np.pi, int(rng.integers(3, 8))))
         corners = np.stack([np.cos(around), np.sin(around)], -1) * axes
     points = np.rint(corners @ np.array([[cos, sin], [-sin, cos]]) + centre).astype(np.int32)
-    cv2.fillPoly(picture, [points], colour, cv2.LINE_AA)
+    cv2.fillPoly(image, [points], color, cv2.LINE_AA)
     if kind == "rectangle" and rng.uniform() < 0.3:
         edge = tuple(float(c) for c in rng.integers(0, 256, 3))
-        cv2.polylines(picture, [points], True, edge, int(rng.integers(1, 4)), cv2.LINE_AA)
+        cv2.polylines(image, [points], True, edge, int(rng.integers(1, 4)), cv2.LINE_AA)
 
 
-def _draw_text(picture: np.ndarray, rng: np.random.Generator, colour: tuple[float, ...]) -> None:
+def _draw_text(image: np.ndarray, rng: np.random.Generator, color: tuple[float, ...]) -> None:
     """A few lines of letters, in place."""
-    size = len(picture)
+    size = len(image)
     scale = size / 512 * np.exp(rng.uniform(np.log(0.4), np.log(3.0)))
     x, y = rng.uniform(-0.1, 0.7, 2) * size
     font = int(rng.integers(0, 5))
@@ -147,4 +147,4 @@ def _draw_text(picture: np.ndarray, rng: np.random.Generator, colour: tuple[floa
         word = "".join(rng.choice(_LETTERS, int(rng.integers(3, 16))))
         at = (round(x), round(y + line * 32 * scale))
         thickness = max(1, round(scale * rng.uniform(0.8, 2.5)))
-        cv2.putText(picture, word, at, font, scale, colour, thickness, cv2.LINE_AA)
+        cv2.putText(image, word, at, font, scale, color, thickness, cv2.LINE_AA)

@@ -16,15 +16,15 @@ from .collage import draw_collage, draw_leaf
 from .crops import STORED_SIDE, CropPack
 
 BANK = 384
-"""How many crops are kept decoded to be pasted; decoding one anew would cost more than pasting."""
+"""How many crops are kept decoded to be pasted; decoding one again would cost more than pasting."""
 
 _COLLAGE_SIDE = 320
 """Side of drawn backgrounds in pixels: the width of the detector's frames."""
 
-_WHOLE = 0.7
+_MIN_SOURCE_VISIBILITY = 0.7
 """Visibility from which a target is whole enough to be cut out."""
 
-_LEAST_LEFT = 0.35
+_MIN_VISIBLE_SHARE = 0.35
 """Share of the target's visible pixels that an occluder must leave, or it is not pasted."""
 
 
@@ -36,19 +36,11 @@ class CutAndPasteConfig:
         occlude: probability that another object is pasted over the crop.
         background: probability that everything but the target is replaced.
         collages: share of the new backgrounds that are drawn (``collage``) instead of cut out.
-
-    Raises:
-        ValueError: if one is not from 0 to 1.
     """
 
     occlude: float = 0.0
     background: float = 0.0
     collages: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("occlude", "background", "collages"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"cut-and-paste: {name} must be 0 to 1, got {getattr(self, name)}")
 
 
 class CropPaster:
@@ -70,7 +62,7 @@ class CropPaster:
     def __init__(self, pack: CropPack, targets: np.ndarray, config: CutAndPasteConfig):
         self.pack = pack
         self.config = config
-        whole = targets[pack.visibility[targets] >= _WHOLE]
+        whole = targets[pack.visibility[targets] >= _MIN_SOURCE_VISIBILITY]
         rng = np.random.default_rng(0)
         self.bank = np.sort(rng.choice(whole, min(BANK, len(whole)), replace=False))
         self._pieces: dict[int, np.ndarray] = {}
@@ -84,21 +76,14 @@ class CropPaster:
             for number in numbers
         ]
         shown = np.unique(pack.object_index[targets])
-        wanted = [
-            (what, any(len(pieces[number]) for number in shown))
-            for what, probability, pieces in (
-                ("a second object to put before one", config.occlude, self._occluders),
-                ("a frame that lacks an object to put behind it",
-                 config.background * (not self._collages), self._backgrounds),
-            )
-            if probability > 0
-        ]  # fmt: skip
-        drawn_behind = bool(self._collages) and config.background > 0
-        if wanted and not drawn_behind and not any(possible for _, possible in wanted):
-            raise ValueError(
-                f"cut-and-paste needs {' or '.join(what for what, _ in wanted)}, "
-                "and the dataset has none"
-            )
+        needs: dict[str, list[np.ndarray]] = {}
+        if config.occlude:
+            needs["a second object to put before one"] = self._occluders
+        if config.background and not self._collages:
+            needs["a frame that lacks an object to put behind it"] = self._backgrounds
+        possible = any(len(pieces[number]) for pieces in needs.values() for number in shown)
+        if needs and not possible and not (config.background and self._collages):
+            raise ValueError(f"cut-and-paste needs {' or '.join(needs)}, and the dataset has none")
 
     def paste(
         self,
@@ -123,36 +108,38 @@ class CropPaster:
         backgrounds, occluders = self._backgrounds[object_index], self._occluders[object_index]
         possible = len(backgrounds) or len(self._collages)
         if rng.random() < self.config.background and possible:
-            picture = self._background(backgrounds, rng)
-            crop = blend(_window(picture, len(mask), rng), crop, mask)
+            image = self._background(backgrounds, rng)
+            crop = blend(_window(image, len(mask), rng), crop, mask)
             depth = None if depth is None else np.where(mask > 127, depth, np.float32(0))
         if rng.random() < self.config.occlude and len(occluders):
             piece = self._piece(int(occluders[rng.integers(len(occluders))]))
             away, towards = rng.uniform(0.15, 0.45), rng.uniform(0, 2 * np.pi)
             place = np.array([0.5 + away * np.cos(towards), 0.5 + away * np.sin(towards)])
-            scale, turn = np.exp(rng.uniform(-0.5, 0.2)), rng.uniform(-np.pi, np.pi)
-            moved = cv2.warpAffine(piece, _placement(place * len(mask), scale, turn), mask.shape)
+            scale, angle = np.exp(rng.uniform(-0.5, 0.2)), rng.uniform(-np.pi, np.pi)
+            moved = cv2.warpAffine(
+                piece, _paste_matrix(place * len(mask), scale, angle), mask.shape
+            )
             over = np.ascontiguousarray(moved[..., 3])
             left = cv2.multiply(mask, 255 - over, scale=1 / 255)
-            if cv2.sumElems(left)[0] >= _LEAST_LEFT * cv2.sumElems(mask)[0]:
+            if cv2.sumElems(left)[0] >= _MIN_VISIBLE_SHARE * cv2.sumElems(mask)[0]:
                 crop, mask = blend(crop, np.ascontiguousarray(moved[..., :3]), over), left
                 depth = None if depth is None else np.where(over > 0, np.float32(0), depth)
         return crop, mask, depth
 
-    def paste_frame(self, picture: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
-        """Puts a drawn background or decoys behind all targets of a whole frame, or leaves it.
+    def paste_frame(self, image: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
+        """Puts a drawn background or distractors behind all targets of a whole frame, or leaves it.
 
         Args:
-            picture: the frame at the detector's size, RGB uint8 (H, W, 3).
+            image: the frame at the detector's size, RGB uint8 (H, W, 3).
             frame: its number in the pack.
             rng: source of randomness.
         """
         if not self._collages:
-            return picture
-        drawn, decoyed = (rng.random() < self.config.background for _ in range(2))
-        if not drawn and not decoyed:
-            return picture
-        height, width = picture.shape[:2]
+            return image
+        drawn, distracted = (rng.random() < self.config.background for _ in range(2))
+        if not drawn and not distracted:
+            return image
+        height, width = image.shape[:2]
         low, high = np.searchsorted(self.pack.frame_index, [frame, frame + 1])
         shown = np.zeros((height, width), np.uint8)
         for target in range(low, high):
@@ -161,37 +148,37 @@ class CropPaster:
                 self.pack.mask(target), back[:2], (width, height), flags=cv2.INTER_AREA
             )
             np.maximum(shown, mask, out=shown)
-        behind = picture
+        behind = image
         if drawn:
             collage = self._collages[rng.integers(len(self._collages))]
             behind = _window(collage, max(height, width), rng)[:height, :width]
             behind = np.ascontiguousarray(behind)
-        if decoyed:
-            behind = self._with_decoys(behind, rng)
-        return blend(behind, picture, shown)
+        if distracted:
+            behind = self.add_distractors(behind, rng)
+        return blend(behind, image, shown)
 
-    def _with_decoys(self, picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Adds things that have the colours of objects and not their shapes.
+    def add_distractors(self, image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Adds distractors that have the colors of objects and not their shapes.
 
         A detector that has seen none takes a red car for LineMOD's ape.
         """
-        height, width = picture.shape[:2]
-        out = picture.copy()
+        height, width = image.shape[:2]
+        out = image.copy()
         for _ in range(int(rng.integers(1, 6))):
             piece = self._piece(int(self.bank[rng.integers(len(self.bank))]))
-            colours = piece[piece[..., 3] > 200][:, :3]
+            colors = piece[piece[..., 3] > 200][:, :3]
             centre = rng.uniform(0, (width, height))
             radius = np.exp(rng.uniform(np.log(0.03), np.log(0.14))) * width
-            for _ in range(int(rng.integers(1, 5)) if len(colours) else 0):
-                colour = colours[rng.integers(len(colours))] * rng.uniform(0.8, 1.2)
+            for _ in range(int(rng.integers(1, 5)) if len(colors) else 0):
+                color = colors[rng.integers(len(colors))] * rng.uniform(0.8, 1.2)
                 place = centre + rng.normal(0, 0.6 * radius, 2)
                 size = radius * rng.uniform(0.3, 1.0)
-                draw_leaf(out, rng, size, np.minimum(colour, 255).tolist(), place)
+                draw_leaf(out, rng, size, np.minimum(color, 255).tolist(), place)
         light = cv2.resize(
             rng.uniform(0.7, 1.2, (6, 8)).astype(np.float32), (width, height),
             interpolation=cv2.INTER_LINEAR,
         )  # fmt: skip
-        changed = (out != picture).any(-1)
+        changed = (out != image).any(-1)
         out[changed] = np.clip(out[changed] * light[changed][:, None], 0, 255).astype(np.uint8)
         return out
 
@@ -210,7 +197,7 @@ class CropPaster:
 
 
 def blend(below: np.ndarray, above: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Lays a picture over another, uint8 (H, W, 3), as far as ``alpha`` says, uint8 (H, W)."""
+    """Lays an image over another, uint8 (H, W, 3), as far as ``alpha`` says, uint8 (H, W)."""
     weight = cv2.merge([alpha, alpha, alpha])
     return cv2.add(
         cv2.multiply(above, weight, scale=1 / 255),
@@ -218,18 +205,18 @@ def blend(below: np.ndarray, above: np.ndarray, alpha: np.ndarray) -> np.ndarray
     )
 
 
-def _placement(centre: np.ndarray, scale: float, turn: float) -> np.ndarray:
+def _paste_matrix(centre: np.ndarray, scale: float, angle: float) -> np.ndarray:
     """The affine map (2, 3) that brings the middle of a stored crop to a place in another."""
-    cosine, sine = scale * np.cos(turn), scale * np.sin(turn)
+    cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
     linear = np.array([[cosine, -sine], [sine, cosine]])
     middle = np.full(2, (STORED_SIDE - 1) / 2)
     return np.column_stack([linear, centre - linear @ middle])
 
 
-def _window(picture: np.ndarray, side: int, rng: np.random.Generator) -> np.ndarray:
-    """A random window (side, side, 3) of a picture, mirrored or not; larger ones are scaled."""
-    if side > len(picture):
-        picture = cv2.resize(picture, (side, side), interpolation=cv2.INTER_LINEAR)
-    y, x = rng.integers(0, len(picture) - side + 1, 2)
-    window = picture[y : y + side, x : x + side]
+def _window(image: np.ndarray, side: int, rng: np.random.Generator) -> np.ndarray:
+    """A random window (side, side, 3) of an image, mirrored or not; larger ones are scaled."""
+    if side > len(image):
+        image = cv2.resize(image, (side, side), interpolation=cv2.INTER_LINEAR)
+    y, x = rng.integers(0, len(image) - side + 1, 2)
+    window = image[y : y + side, x : x + side]
     return np.ascontiguousarray(window[:, ::-1] if rng.random() < 0.5 else window)

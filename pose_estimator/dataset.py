@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -11,17 +10,18 @@ import numpy as np
 from ..assets.object_model import ObjectModel
 from .augmentation import (
     AugmentationConfig,
-    augment_colours,
-    blemish,
+    augment_colors,
     erase_box,
     jitter_affine,
-    repaint_side,
+    jitter_frame,
+    paint_spots,
+    recolor_side,
 )
 from .crops import STORED_SCALE, STORED_SIDE, CropPack
 from .cut_and_paste import CropPaster, CutAndPasteConfig
 from .detector import DetectorConfig, detection_targets
 from .features import FeatureConfig
-from .geometry import invert, project
+from .geometry import invert, project, transform
 from .symmetry import canonical_pose
 from .target_sample import TargetSample, direction_field
 
@@ -29,27 +29,24 @@ _OUTLINE_POINTS = 400
 """Points of a surface that are enough for the outline of one of its sides."""
 
 
-@dataclass(frozen=True)
-class SamplingConfig:
-    """How often a target is drawn, relative to one that stands upright and can be seen.
+_TILTED = 0.2
+"""Weight of targets whose +z axis leans more than ten degrees (in the world of the dataset): most
+objects stand as LineMOD's do."""
 
-    Attributes:
-        tilted: weight of targets whose +z axis leans more than ten degrees (in the world of the
-            dataset): most objects stand as LineMOD's do.
-        hidden: weight of targets of which less than 30 percent are visible.
-    """
+_HIDDEN = 0.4
+"""Weight of targets of which less than 30 percent are visible."""
 
-    tilted: float = 0.2
-    hidden: float = 0.4
+_GREY = (127, 127, 127)
 
-    def weights(self, pack: CropPack) -> np.ndarray:
-        """The weight (T,) of each target."""
-        T_world_cam = invert(pack.T_cam_world[pack.frame_index])
-        up = np.einsum("ti,ti->t", T_world_cam[:, 2, :3], pack.T_cam_obj[:, :3, 2])
-        # Of a picture whose place in the world is not known nobody can say what leans.
-        no_world = (T_world_cam == np.eye(4)).all((1, 2))
-        weights = np.where((up > np.cos(np.radians(10))) | no_world, 1.0, self.tilted)
-        return weights * np.where(pack.visibility < 0.3, self.hidden, 1.0)
+
+def sampling_weights(pack: CropPack) -> np.ndarray:
+    """How often each target is drawn (T,), relative to one that is upright and can be seen."""
+    T_world_cam = invert(pack.T_cam_world[pack.frame_index])
+    up = np.einsum("ti,ti->t", T_world_cam[:, 2, :3], pack.T_cam_obj[:, :3, 2])
+    # Without a world pose, tilt is undefined.
+    no_world = (T_world_cam == np.eye(4)).all((1, 2))
+    weights = np.where((up > np.cos(np.radians(10))) | no_world, 1.0, _TILTED)
+    return weights * np.where(pack.visibility < 0.3, _HIDDEN, 1.0)
 
 
 class TrainingSet:
@@ -59,8 +56,7 @@ class TrainingSet:
         pack: the packed dataset.
         objects: the models, in the order of the pack.
         features: shape of the crops.
-        augmentation: None leaves the pictures as they are, with crops centred on the target.
-        sampling: which targets to prefer.
+        augmentation: None leaves the images as they are, with crops centred on the target.
         validation: fraction of the scenes (the last ones) that is kept for validation.
         held_out: draw from the validation scenes instead of the training scenes.
         cut_and_paste: how often pieces of other crops are pasted; None never.
@@ -77,7 +73,6 @@ class TrainingSet:
         features: FeatureConfig,
         augmentation: AugmentationConfig | None = AugmentationConfig(),
         *,
-        sampling: SamplingConfig = SamplingConfig(),
         validation: float = 0.03,
         held_out: bool = False,
         cut_and_paste: CutAndPasteConfig | None = None,
@@ -103,7 +98,7 @@ class TrainingSet:
         self._paster = (
             None if cut_and_paste is None else CropPaster(pack, self.targets, cut_and_paste)
         )
-        weights = sampling.weights(pack)
+        weights = sampling_weights(pack)
         self._weights = [_normalised(weights[targets]) for targets in self.by_object]
         self._pairs = self._find_pairs()
         self._pair_weights = [
@@ -137,15 +132,8 @@ class TrainingSet:
         else:
             around = jitter_affine(size, zoom, self.augmentation, rng)
         affine = _shift((size - 1) / 2) @ around @ _shift(-(STORED_SIDE - 1) / 2)
-        crop = cv2.warpAffine(
-            crop,
-            affine[:2],
-            (size, size),
-            flags=cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=(127, 127, 127),
-        )
-        mask = cv2.warpAffine(mask, affine[:2], (size, size), flags=cv2.INTER_LINEAR)
+        crop = cv2.warpAffine(crop, affine[:2], (size, size), borderValue=_GREY)
+        mask = cv2.warpAffine(mask, affine[:2], (size, size))
         if depth is not None:
             depth = cv2.warpAffine(depth, affine[:2], (size, size), flags=cv2.INTER_NEAREST)
         index = int(pack.object_index[target])
@@ -155,15 +143,15 @@ class TrainingSet:
         if self._paster is not None:
             crop, mask, depth = self._paster.paste(crop, mask, depth, index, rng)
         if self.augmentation is not None:
-            crop = blemish(self.augmentation, rng, crop, mask)
+            crop = paint_spots(self.augmentation, rng, crop, mask)
             points = model.points[:: len(model.points) // _OUTLINE_POINTS + 1]
-            pixels = project(points @ T[:3, :3].T + T[:3, 3], K)
+            pixels = project(transform(T, points), K)
             view = -T[:3, :3].T @ T[:3, 3]
-            crop = repaint_side(self.augmentation, rng, crop, mask, points, pixels, view)
+            crop = recolor_side(self.augmentation, rng, crop, mask, points, pixels, view)
             erase_box(self.augmentation, rng, crop, mask, depth)
-            crop = augment_colours(crop, self.augmentation, rng)
+            crop = augment_colors(crop, self.augmentation, rng)
         mask = cv2.resize(mask, (config.grid, config.grid), interpolation=cv2.INTER_AREA)
-        pixels = project(model.keypoints @ T[:3, :3].T + T[:3, 3], K)
+        pixels = project(transform(T, model.keypoints), K)
         return TargetSample(
             crop=crop,
             mask=mask.astype(np.float32) / 255,
@@ -192,11 +180,11 @@ class TrainingSet:
             with_depth: whether the samples have depth maps, where the dataset has them.
 
         Raises:
-            ValueError: if no scene shows an object in two pictures.
+            ValueError: if no scene shows an object in two images.
         """
         if not any(self._pairs):
             raise ValueError(
-                "no scene of the dataset shows an object in two pictures, and two views are "
+                "no scene of the dataset shows an object in two images, and two views are "
                 "trained: generate --views 2 at least"
             )
         index = rng.choice([k for k in self.known if self._pairs[k]])
@@ -211,33 +199,21 @@ class TrainingSet:
     def draw_frame(
         self, rng: np.random.Generator, config: DetectorConfig
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """A frame for the detector: picture, heat, regression, weight (see detection_targets)."""
+        """A frame for the detector: image, heat, regression, weight (see detection_targets)."""
         pack = self.pack
         frame = int(rng.choice(self.frames))
-        picture = pack.frame(frame)
+        image = pack.frame(frame)
         low, high = np.searchsorted(pack.frame_index, [frame, frame + 1])
         if self._paster is not None:
-            picture = self._paster.paste_frame(picture, frame, rng)
+            image = self._paster.paste_frame(image, frame, rng)
         to_small = np.linalg.inv(pack.frame_to_image[frame])
         moved = np.eye(3)
         if self.augmentation is not None:
-            bent = self.augmentation
-            scale = np.exp(rng.uniform(-bent.frame_scale, bent.frame_scale))
-            angle = rng.uniform(-bent.frame_turn, bent.frame_turn)
-            middle = np.array([(config.width - 1) / 2, (config.height - 1) / 2])
-            shift = rng.uniform(-0.06, 0.06, 2) * (config.width, config.height)
-            cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
-            moved[:2, :2] = [[cosine, -sine], [sine, cosine]]
-            moved[:2, 2] = middle + shift - moved[:2, :2] @ middle
-            picture = cv2.warpAffine(
-                picture,
-                moved[:2],
-                (config.width, config.height),
-                borderMode=cv2.BORDER_CONSTANT,
-                borderValue=(127, 127, 127),
-            )
-            erase_box(self.augmentation, rng, picture)
-            picture = augment_colours(picture, self.augmentation, rng)
+            size = config.width, config.height
+            moved = jitter_frame(size, self.augmentation, rng)
+            image = cv2.warpAffine(image, moved[:2], size, borderValue=_GREY)
+            erase_box(self.augmentation, rng, image)
+            image = augment_colors(image, self.augmentation, rng)
         K = moved @ to_small @ pack.K[frame]
         count = len(self.models)
         centres, sides = np.zeros((count, 2)), np.ones(count)
@@ -249,7 +225,7 @@ class TrainingSet:
             focal = np.sqrt(abs(np.linalg.det(K[:2, :2])))
             sides[index] = config.roi_scale * self.models[index].diameter * focal / T[2, 3]
             present[index] = True
-        return (picture, *detection_targets(centres, sides, present, config))
+        return (image, *detection_targets(centres, sides, present, config))
 
 
 def _normalised(weights: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Changes to the depth of a training crop that a sensor will bring by itself: noise and holes."""
+"""Augmentation of the depth of a training crop: sensor noise and holes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class DepthAugmentationConfig:
-    """How far the depth of a training crop is spoilt; strengths are drawn anew for each crop.
+    """Strength of the sensor noise; each crop draws its own up to these.
 
     Attributes:
         noise: largest multiple of the Kinect's standard deviation along z.
@@ -40,7 +40,7 @@ _EDGE = 0.01
 def augment_depth(
     depth: np.ndarray, config: DepthAugmentationConfig, rng: np.random.Generator
 ) -> np.ndarray:
-    """Spoils the depth (S, S) in metres of a crop, 0 = unknown, as a Kinect would.
+    """Adds Kinect-like noise to the depth (S, S) of a crop in metres, 0 = unknown.
 
     The standard deviation along z is that of Nguyen et al., "Modeling Kinect sensor noise",
     3DIMPVT 2012, for surfaces that face the camera.

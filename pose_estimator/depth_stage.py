@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -14,16 +13,16 @@ from torch.nn import functional as F
 from .cascade import CascadeViews, DepthOutput, half_range
 from .dataset import TrainingSet
 from .loader import Batch, Draw, Sample
-from .stages import StageBase
+from .stage_base import FrozenFeatureStage
 from .target_sample import arrays_of_pair, as_input
 
 _LEVEL_WEIGHTS = (0.5, 1.0, 2.0)
-"""Of the stages' losses, as Cas-MVSNet has them."""
+"""Of the levels' losses, as Cas-MVSNet has them."""
 
 _BACKGROUND = 0.1
 """How much a pixel beside the object counts."""
 
-_STEEPEST = 6.0
+_MAX_DEPTH_SLOPE = 6.0
 """Widths of a crop pixel by which the depths of neighbours may differ; at an edge there is no depth
 to learn. A packed crop repeats pixels, so a slope may rise by two at once."""
 
@@ -31,7 +30,7 @@ _GUESS_NOISE = 0.25
 """Standard deviation of the guess of the centre's depth, in half ranges: the surface, which is at
 most half a diameter from the centre, is to stay in the range."""
 
-_WORST_GUESS = 0.5
+_MAX_GUESS_ERROR = 0.5
 
 
 class Truth(NamedTuple):
@@ -46,46 +45,15 @@ class Truth(NamedTuple):
     mask: Tensor
 
 
-class CascadeStage(StageBase):
-    """The depth of the reference view from pairs; the 2D network stays as it is.
+class CascadeStage(FrozenFeatureStage):
+    """The depth of the reference view from pairs."""
 
-    Training needs a dataset with depth maps; see :meth:`batches`.
-    """
-
-    name = "cascade"
+    name = part = "cascade"
+    needs_depth = True
     validation = (16, 8)
-
-    def __init__(self, *args: Any, **kwargs: Any):
-        super().__init__(*args, **kwargs)
-        self.networks.features.requires_grad_(False)
-        models = self.train.models
-        self.diameters = torch.tensor(
-            [m.diameter for m in models], dtype=torch.float32, device=self.device
-        )
-
-    @property
-    def module(self) -> torch.nn.Module:
-        return self.networks.cascade
-
-    @property
-    def running(self) -> tuple[torch.nn.Module, ...]:
-        return (self.networks.cascade,)
 
     def drawing(self, *, held_out: bool = False) -> Draw:
         return partial(draw_guessed_pair, self.held_out if held_out else self.train)
-
-    def batches(self, start: int) -> Iterator[Batch]:
-        """Batches from number ``start`` to the last, on the device.
-
-        Raises:
-            ValueError: if the dataset has no depth maps.
-        """
-        if self.train.pack.depth(int(self.train.targets[0])) is None:
-            raise ValueError(
-                "the stage cascade needs depth maps, and the dataset has none: make one with "
-                "python -m two_view_pose generate --depth"
-            )
-        return super().batches(start)
 
     def forward(self, batch: Batch) -> tuple[list[DepthOutput], list[Truth]]:
         """Runs a batch of pairs of :func:`draw_guessed_pair`.
@@ -153,7 +121,7 @@ class CascadeStage(StageBase):
 def draw_guessed_pair(source: TrainingSet, rng: np.random.Generator) -> Sample:
     """A pair, the depth of its first view, and a guess of its centre's depth."""
     first, second, T_second_ref = source.draw_pair(rng)
-    error = np.clip(rng.normal(0, _GUESS_NOISE), -_WORST_GUESS, _WORST_GUESS)
+    error = np.clip(rng.normal(0, _GUESS_NOISE), -_MAX_GUESS_ERROR, _MAX_GUESS_ERROR)
     return {
         **arrays_of_pair(first, second),
         "mask": first.mask,
@@ -180,7 +148,7 @@ def true_cells(depth: Tensor, mask: Tensor, stride: int, pixel_width: Tensor) ->
     rows = [depth[:, half + i :: stride, half + j :: stride] for i in (0, 1) for j in (0, 1)]
     around = torch.stack(rows)
     low, high = around.amin(0), around.amax(0)
-    known = (low > 0) & (high - low < _STEEPEST * pixel_width[:, None, None])
+    known = (low > 0) & (high - low < _MAX_DEPTH_SLOPE * pixel_width[:, None, None])
     cells = torch.where(known, around.mean(0), torch.zeros_like(low))
     size = (cells.shape[1], cells.shape[2])
     return Truth(cells, F.adaptive_avg_pool2d(mask, size))
@@ -194,7 +162,7 @@ def depth_loss(output: DepthOutput, truth: Truth, planes: int) -> Tensor:
     Args:
         output: of the stage.
         truth: on its grid.
-        planes: how many depths it supposed.
+        planes: how many depth hypotheses it had.
     """
     half = output.half_range[:, None, None]
     in_range = (truth.depth > 0) & ((truth.depth - output.centre).abs() <= half)

@@ -27,7 +27,7 @@ from .device import resolve_device
 
 _Result = TypeVar("_Result")
 
-_PATIENCE = timedelta(days=1)
+_TIMEOUT = timedelta(days=1)
 """How long processes wait for the first, which packs data and validates while they do; that one of
 them ended is noticed at once."""
 
@@ -54,7 +54,7 @@ def own_device(asked: str) -> torch.device:
     number, gpus = int(os.environ.get("LOCAL_RANK", "0")), torch.cuda.device_count()
     if number >= gpus:
         raise ValueError(
-            f"torchrun started {own_machine()} processes on a machine with {gpus} GPUs: "
+            f"torchrun started {_ranks_on_this_machine()} processes on a machine with {gpus} GPUs: "
             f"give --nproc-per-node={gpus}, or --device cpu"
         )
     return torch.device("cuda", number)
@@ -76,7 +76,7 @@ def process_group(device: torch.device) -> Iterator[None]:
         return
     # What is said beside gradients stays on the processor, and waits for no GPU.
     backend = "cpu:gloo,cuda:nccl" if device.type == "cuda" else "gloo"
-    dist.init_process_group(backend, timeout=_PATIENCE)
+    dist.init_process_group(backend, timeout=_TIMEOUT)
     try:
         with contextlib.ExitStack() as stack:
             if rank():
@@ -102,17 +102,17 @@ def world_size() -> int:
     return dist.get_world_size() if _joined() else 1
 
 
-def own_machine() -> int:
+def _ranks_on_this_machine() -> int:
     """How many processes train together on this machine."""
     return int(os.environ.get("LOCAL_WORLD_SIZE", world_size()))
 
 
-def own_cores() -> int:
+def threads_per_rank() -> int:
     """This process's share of the cores, at least 1.
 
     ``torchrun`` itself would give each process one thread, however many cores there are.
     """
-    return max(1, available_cores() // own_machine())
+    return max(1, available_cores() // _ranks_on_this_machine())
 
 
 def agreed(decision: bool) -> bool:
@@ -124,7 +124,7 @@ def agreed(decision: bool) -> bool:
     return bool(said)
 
 
-def first_alone(work: Callable[[], _Result]) -> _Result:
+def rank_zero_first(work: Callable[[], _Result]) -> _Result:
     """Does in all processes what leaves files behind: first in one, then in the others.
 
     Raises:
@@ -139,7 +139,7 @@ def first_alone(work: Callable[[], _Result]) -> _Result:
     if rank() == 0:
         return result  # type: ignore[return-value]
     if not done:
-        raise ValueError("the first process failed; its message says why")
+        raise ValueError("rank 0 failed; see its message")
     return work()
 
 
@@ -156,7 +156,7 @@ def check_same_step(step: int) -> None:
         )
 
 
-def synchronise_batch_norms(module: nn.Module) -> None:
+def convert_sync_batchnorms(module: nn.Module) -> None:
     """On GPUs, lets batch norms within a module see all processes' samples."""
     if world_size() > 1 and any(p.is_cuda for p in module.parameters()):
         nn.SyncBatchNorm.convert_sync_batchnorm(module)
@@ -170,7 +170,7 @@ def in_parallel(module: nn.Module) -> nn.Module:
     return DistributedDataParallel(module, find_unused_parameters=True)
 
 
-def share_weights(module: nn.Module) -> None:
+def broadcast_weights(module: nn.Module) -> None:
     """Gives every process the first one's weights and running statistics."""
     if not _joined():
         return

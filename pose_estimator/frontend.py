@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from torch import Tensor
 
-from .crops import warp_crop
 from .detector import decode, decode_peaks, detector_input
 from .estimate import Roi
 from .geometry import View, crop_matrix, grid_matrix, turn_matrix
+from .image_crop import warp_crop
 from .inference import EncodedCrop, Inference
 from .joint_detection import choose_together, sizes_together
 from .networks import PoseNetworks

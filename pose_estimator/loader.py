@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
 
-from .distributed import own_cores, rank, world_size
+from .distributed import rank, threads_per_rank, world_size
 
 Sample = Mapping[str, Any]
 """Arrays and numbers by name."""
@@ -23,7 +23,7 @@ Batch = dict[str, Tensor]
 Draw = Callable[..., Sample]
 """Draws a sample with a ``np.random.Generator``; a second argument is what its batch shares."""
 
-_MOST_WORKERS = 16
+_MAX_WORKERS = 16
 
 
 class NumberedBatches(Dataset[Batch]):
@@ -63,7 +63,7 @@ def collate(samples: Sequence[Sample]) -> Batch:
 
 def load(
     batches: NumberedBatches, numbers: Sequence[int], workers: int, device: torch.device
-) -> Iterator[Batch]:
+) -> Generator[Batch, None, None]:
     """Batches on a device, drawn ahead.
 
     Closing the iterator ends the workers; so does the end of this process, however it ends.
@@ -102,7 +102,7 @@ def default_workers(device: torch.device) -> int:
     """How many workers feed a device: a GPU all cores but one, 16 at most; a processor one."""
     if device.type == "cpu":
         return 1
-    return min(_MOST_WORKERS, max(1, own_cores() - 1))
+    return min(_MAX_WORKERS, max(1, threads_per_rank() - 1))
 
 
 def _work_on_one_core(worker: int) -> None:

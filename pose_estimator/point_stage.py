@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -12,64 +11,31 @@ from torch import Tensor
 
 from .dataset import TrainingSet
 from .depth_augmentation import DepthAugmentationConfig, augment_depth
-from .geometry import grid_matrix
 from .loader import Batch, Draw, Sample
 from .losses import keypoint_loss, pose_loss
 from .point_cloud import LEAST_POINTS, sample_points
 from .point_voting import PointMaps, PointVotes, point_features
 from .solvers import RigidMotions, solve
-from .stages import StageBase, correct_poses, table
+from .stage_base import Answers, KeypointStage, table
 from .target_sample import arrays_of, as_input
 from .voting import vote
 
 
-class PointStage(StageBase):
-    """Points that vote for keypoints; the 2D network stays as it is.
+class PointStage(KeypointStage):
+    """Points that vote for keypoints."""
 
-    Training needs a dataset with depth maps; see :meth:`batches`.
-    """
-
-    name = "points"
+    name = part = "points"
+    needs_depth = True
 
     def __init__(self, *args: Any, **kwargs: Any):
         super().__init__(*args, **kwargs)
-        self.networks.features.requires_grad_(False)
-        models = self.train.models
-        keypoints = np.stack([m.keypoints for m in models])
-        self.keypoints = torch.from_numpy(keypoints).float().to(self.device)
-        self.diameters = torch.tensor(
-            [m.diameter for m in models], dtype=torch.float32, device=self.device
-        )
-        self.symmetries = table([m.symmetries for m in models]).float().to(self.device)
-        to_grid = grid_matrix(self.networks.features.config.stride)
-        self._to_grid = torch.from_numpy(to_grid).float().to(self.device)
-
-    @property
-    def module(self) -> torch.nn.Module:
-        return self.networks.points
-
-    @property
-    def running(self) -> tuple[torch.nn.Module, ...]:
-        return self.networks.features, self.networks.points
+        self.symmetries = table([m.symmetries for m in self.train.models]).float().to(self.device)
 
     def drawing(self, *, held_out: bool = False) -> Draw:
-        return partial(draw_noisy, self.held_out if held_out else self.train)
-
-    def batches(self, start: int) -> Iterator[Batch]:
-        """Batches from number ``start`` to the last, on the device.
-
-        Raises:
-            ValueError: if the dataset has no depth maps.
-        """
-        if self.train.pack.depth(int(self.train.targets[0])) is None:
-            raise ValueError(
-                "the stage points needs depth maps, and the dataset has none: make one with "
-                "python -m two_view_pose generate --depth"
-            )
-        return super().batches(start)
+        return partial(draw_with_sensor_noise, self.held_out if held_out else self.train)
 
     def forward(self, batch: Batch) -> dict[str, Any]:
-        """Runs a batch of :func:`draw_noisy`; crops with too few points are not ``enough``."""
+        """Runs a batch of crops; those with too few points are not ``enough``."""
         networks = self.networks
         networks.features.eval()
         index, K = batch["object"], batch["K"]
@@ -79,7 +45,7 @@ class PointStage(StageBase):
         mean, covariance, _ = vote(out)
         mask = torch.sigmoid(out.mask_logits.float())
         features = point_features(out.decoder, mask)
-        maps = PointMaps(features, mean, covariance, self._to_grid @ K)
+        maps = PointMaps(features, mean, covariance, self.to_grid @ K)
         # Each crop has its own draws, wherever in a batch it stands.
         draws = [torch.Generator("cpu").manual_seed(n) for n in batch["points_seed"].tolist()]
         cloud = sample_points(
@@ -88,7 +54,7 @@ class PointStage(StageBase):
         enough = cloud.valid.sum(1) >= LEAST_POINTS
         votes = networks.points(maps, cloud, index, diameter)
         T_true = self.nearest_equivalent(votes.keypoints, batch["T_cam_obj"], index)
-        truth = self._place(T_true, index)
+        truth = self.place(T_true, index)
         return {
             "votes": votes, "cloud": cloud, "truth": truth, "T_true": T_true, "index": index,
             "diameter": diameter, "enough": enough,
@@ -102,13 +68,9 @@ class PointStage(StageBase):
         choose.
         """
         poses = T_cam_obj[:, None] @ self.symmetries[index]
-        placed = self._place(poses, index[:, None].expand(poses.shape[:2]))
+        placed = self.place(poses, index[:, None].expand(poses.shape[:2]))
         distance = (placed - keypoints.detach()[:, None]).norm(dim=-1).sum(-1)
         return poses[torch.arange(len(index), device=index.device), distance.argmin(1)]
-
-    def _place(self, T_cam_obj: Tensor, index: Tensor) -> Tensor:
-        """Keypoints (..., 9, 3) of objects (...) in poses (..., 4, 4)."""
-        return self.keypoints[index] @ T_cam_obj[..., :3, :3].mT + T_cam_obj[..., None, :3, 3]
 
     def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         self.networks.points.train()
@@ -131,29 +93,17 @@ class PointStage(StageBase):
         total = 2.0 * offset + 0.2 * sure + 4.0 * distance + pose
         return total, {"offset": offset, "sure": sure, "distance": distance, "pose": pose}
 
-    @torch.no_grad()
-    def validate(self) -> dict[str, float]:
-        """3D keypoint distance over the diameter, and ADD(-S) recall, on noisy depth."""
-        self.networks.points.eval()
-        errors: list[np.ndarray] = []
-        hits: list[bool] = []
-        for batch in self.held_out_batches():
-            out = self.forward(batch)
-            distance = (out["votes"].keypoints - out["truth"]).norm(dim=-1).mean(1)
-            errors.append((distance / out["diameter"])[out["enough"]].cpu().numpy())
-            keep = out["enough"]
-            motions = RigidMotions(*(part[keep] for part in out["solution"]))
-            hits += correct_poses(
-                motions, out["index"][keep], out["T_true"][keep], self.held_out.models
-            )
-        return {
-            "keypoint_over_diameter": float(np.mean(np.concatenate(errors))),
-            "add_recall": float(np.mean(hits)),
-        }
+    def answers(self, batch: Batch) -> Answers:
+        out = self.forward(batch)
+        keep = out["enough"]
+        parts = (out["votes"].keypoints, out["truth"], out["T_true"], out["index"])
+        keypoints, truth, T_true, index = (part[keep] for part in parts)
+        motions = RigidMotions(*(part[keep] for part in out["solution"]))
+        return Answers(keypoints, motions, truth, T_true, index)
 
 
-def draw_noisy(source: TrainingSet, rng: np.random.Generator) -> Sample:
-    """A random target, its depth spoilt as a sensor would, and a seed of which points are drawn."""
+def draw_with_sensor_noise(source: TrainingSet, rng: np.random.Generator) -> Sample:
+    """A random target, its depth with sensor noise, and a seed of which points are drawn."""
     sample = source.draw_target(rng)
     assert sample.depth is not None
     drawn = arrays_of(sample)

@@ -1,8 +1,8 @@
-"""What stages of a training share, and those on single pictures: detector and 2D features."""
+"""The stages that train on single images: detector and 2D features."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -10,132 +10,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..assets.object_model import ObjectModel
 from .dataset import TrainingSet
 from .detector import DetectorConfig, decode
-from .device import uses_bfloat16
-from .geometry import make_transform
-from .loader import Batch, Draw, NumberedBatches, Sample, collate, load, to_device
+from .geometry import project, transform
+from .loader import Batch, Draw, Sample
 from .losses import box_loss, direction_loss, heat_map_loss, mask_loss
-from .metrics import add_or_add_s
-from .networks import PoseNetworks
-from .solvers import RigidMotions
+from .stage_base import StageBase
 from .target_sample import arrays_of, as_input
 from .voting import vote
-
-
-class StageBase:
-    """What every stage holds.
-
-    Args:
-        networks: of which it trains a part, on the device where they are.
-        train: where its batches come from.
-        held_out: where it is validated.
-        steps: batches in all.
-        batch: samples in each, in each of the processes that train together.
-        learning_rate: its maximum.
-        seed: of the batches.
-        workers: processes that draw them, see :func:`load`.
-
-    Attributes:
-        validation: how many held-out batches are measured, and the samples in each.
-    """
-
-    validation = (10, 32)
-
-    def __init__(
-        self, networks: PoseNetworks, train: TrainingSet, held_out: TrainingSet, *,
-        steps: int, batch: int, learning_rate: float, seed: int, workers: int = 0
-    ):  # fmt: skip
-        self.networks = networks
-        self.train = train
-        self.held_out = held_out
-        self.steps = steps
-        self.batch = batch
-        self.learning_rate = learning_rate
-        self.seed = seed
-        self.workers = workers
-        self.device = networks.device
-        self.bfloat16 = uses_bfloat16(self.device)
-
-    @property
-    def module(self) -> torch.nn.Module:
-        """What is trained."""
-        raise NotImplementedError
-
-    @property
-    def running(self) -> tuple[torch.nn.Module, ...]:
-        """The networks that a batch runs through."""
-        return (self.module,)
-
-    def drawing(self, *, held_out: bool = False) -> Draw:
-        """What draws a sample; of functions and data alone, so that it can go to a worker."""
-        raise NotImplementedError
-
-    def choosing(self) -> Callable[[np.random.Generator], int] | None:
-        """What draws the one thing that the samples of a batch have in common, if any."""
-        return None
-
-    def batches(self, start: int) -> Iterator[Batch]:
-        """Batches from number ``start`` to the last, on the device."""
-        drawn = NumberedBatches(self.drawing(), self.batch, self.seed, self.choosing())
-        return load(drawn, range(start, self.steps), self.workers, self.device)
-
-    def held_out_batches(self) -> Iterator[Batch]:
-        """The same batches of held-out samples each time, on the device."""
-        draw, rng = self.drawing(held_out=True), np.random.default_rng(1)
-        count, size = self.validation
-        for _ in range(count):
-            yield to_device(collate([draw(rng) for _ in range(size)]), self.device)
-
-    def autocast(self) -> torch.autocast:
-        """bfloat16 where the device is fast at it."""
-        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16)
-
-
-def table(of_objects: Sequence[np.ndarray]) -> Tensor:
-    """Arrays (n, ...) of N objects as one (N, most, ...), filled up with each one's first row."""
-    most = max(len(own) for own in of_objects)
-    full = [np.concatenate([own, own[:1].repeat(most - len(own), 0)]) for own in of_objects]
-    return torch.from_numpy(np.stack(full))
-
-
-def correct_poses(
-    motions: RigidMotions, index: Tensor, T_true: Tensor, models: Sequence[ObjectModel]
-) -> list[bool]:
-    """Whether each pose's ADD, or ADD-S on a symmetric object, is below a tenth of the diameter.
-
-    Args:
-        motions: B poses.
-        index: (B,) of which object.
-        T_true: (B, 4, 4).
-        models: the objects.
-    """
-    correct = []
-    rotations, translations = (part.cpu().numpy().astype(np.float64) for part in motions)
-    for R, t, number, T in zip(
-        rotations,
-        translations,
-        index.tolist(),
-        T_true.cpu().numpy().astype(np.float64),
-        strict=True,
-    ):
-        model = models[number]
-        found = np.isfinite(R).all() and np.isfinite(t).all()
-        error = add_or_add_s(make_transform(R, t), T, model) if found else np.inf
-        correct.append(bool(error < 0.1 * model.diameter))
-    return correct
 
 
 class DetectorStage(StageBase):
     """Centre heat maps on whole frames."""
 
-    name = "detector"
+    name = part = "detector"
     validation = (40, 1)
-
-    @property
-    def module(self) -> torch.nn.Module:
-        return self.networks.detector
 
     def drawing(self, *, held_out: bool = False) -> Draw:
         source = self.held_out if held_out else self.train
@@ -144,13 +33,10 @@ class DetectorStage(StageBase):
     def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         self.module.train()
         with self.autocast():
-            logits, predicted = self.module(as_input(batch["picture"]))
+            logits, predicted = self.module(as_input(batch["image"]))
         heat_part = heat_map_loss(logits.float(), batch["heat"])
         box_part = box_loss(predicted.float(), batch["regression"], batch["weight"])
-        return heat_part + box_part, {
-            "heat": heat_part,
-            "box": box_part,
-        }
+        return heat_part + box_part, {"heat": heat_part, "box": box_part}
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
@@ -160,7 +46,7 @@ class DetectorStage(StageBase):
         errors, sizes = [], []
         for frame in self.held_out_batches():
             with self.autocast():
-                logits, predicted = self.module(as_input(frame["picture"]))
+                logits, predicted = self.module(as_input(frame["image"]))
             logits, predicted, heat, regression, weight = (
                 part[0].float().cpu().numpy()
                 for part in (
@@ -182,9 +68,7 @@ class DetectorStage(StageBase):
 class CropStage(StageBase):
     """What is the same whether the 2D network has one decoder or many: its loss and its measure."""
 
-    @property
-    def module(self) -> torch.nn.Module:
-        return self.networks.features
+    part = "features"
 
     def drawing(self, *, held_out: bool = False) -> Draw:
         return partial(draw_crop, self.held_out if held_out else self.train)
@@ -197,11 +81,7 @@ class CropStage(StageBase):
         direction_part = direction_loss(
             out.directions.float(), batch["directions"], (batch["mask"] > 0.4).float()
         )
-        total = mask_part + 2 * direction_part
-        return total, {
-            "mask": mask_part,
-            "direction": direction_part,
-        }
+        return mask_part + 2 * direction_part, {"mask": mask_part, "direction": direction_part}
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
@@ -220,12 +100,11 @@ class CropStage(StageBase):
                 batch["object"].tolist(), mean, poses, cameras, strict=True
             ):
                 model = self.held_out.models[index]
-                distances = []
-                for S in model.symmetries:
-                    T = T_cam_obj @ S
-                    uvw = (model.keypoints @ T[:3, :3].T + T[:3, 3]) @ K.T
-                    pixels = voted * stride + (stride - 1) / 2
-                    distances.append(np.linalg.norm(pixels - uvw[:, :2] / uvw[:, 2:], axis=1))
+                pixels = voted * stride + (stride - 1) / 2
+                distances = [
+                    np.linalg.norm(pixels - project(transform(T, model.keypoints), K), axis=1)
+                    for T in T_cam_obj @ model.symmetries
+                ]
                 errors.append(min(distances, key=np.mean))
         flat = np.concatenate(errors)
         return {
@@ -271,7 +150,7 @@ class DecoderStage(CropStage):
 
 def draw_frame(source: TrainingSet, config: DetectorConfig, rng: np.random.Generator) -> Sample:
     """A whole frame and what the detector should say of it."""
-    names = ("picture", "heat", "regression", "weight")
+    names = ("image", "heat", "regression", "weight")
     return dict(zip(names, source.draw_frame(rng, config), strict=True))
 
 

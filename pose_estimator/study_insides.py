@@ -17,8 +17,8 @@ import torch
 from torch import Tensor, nn
 from torch.utils._pytree import tree_map_only
 
-from .crops import warp_crop
 from .geometry import View, transform
+from .image_crop import warp_crop
 from .metrics import nearest_symmetric_pose
 from .study import Estimator
 from .study_figures import INK, new_figure, save

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..assets.object_model import ObjectModel
-from .crops import warp_crop
 from .estimate import PoseEstimate
 from .geometry import View, crop_matrix, invert, make_transform, project, transform
+from .image_crop import warp_crop
 from .metrics import nearest_symmetric_pose
 from .overlay import ESTIMATE_COLOUR, TRUE_COLOUR, draw_poses
 from .study_figures import COLOURS, INK, new_figure, save

@@ -1,4 +1,4 @@
-"""One training crop: picture, mask, votes and camera; and how it goes into a batch."""
+"""One training crop: image, mask, votes and camera; and how it goes into a batch."""
 
 from __future__ import annotations
 
@@ -67,6 +67,6 @@ def arrays_of_pair(first: TargetSample, second: TargetSample) -> dict[str, Any]:
     }
 
 
-def as_input(pictures: Tensor) -> Tensor:
-    """Pictures (..., H, W, 3) uint8 as a network's input (B, 3, H, W) float32, channels last."""
-    return pictures.flatten(0, -4).permute(0, 3, 1, 2).float()
+def as_input(images: Tensor) -> Tensor:
+    """Images (..., H, W, 3) uint8 as a network's input (B, 3, H, W) float32, channels last."""
+    return images.flatten(0, -4).permute(0, 3, 1, 2).float()

@@ -1,4 +1,4 @@
-"""``train-estimator``: from a folder of rendered pictures to weights that can be loaded."""
+"""``train-estimator``: from a folder of rendered images to weights that can be loaded."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Collection
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,10 @@ if TYPE_CHECKING:
 
     from .dataset import TrainingSet
     from .networks import PoseNetworks
-    from .stages import StageBase
+    from .stage_base import StageBase
+
+_FROZEN_ENCODER_STAGES = 2
+"""Stages of pretrained encoders that stay as they are: fewer learn more, more are quicker."""
 
 
 def train_estimator(config: TrainEstimatorConfig) -> Path:
@@ -47,14 +51,14 @@ def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) 
     import torch
 
     from .device import describe, uses_bfloat16
-    from .distributed import first_alone, own_cores, rank, world_size
-    from .trainer import keep_freed_memory
+    from .distributed import rank, rank_zero_first, threads_per_rank, world_size
+    from .trainer import tune_malloc
     from .weights import save_weights
 
     if config.threads or world_size() > 1:
-        torch.set_num_threads(config.threads or own_cores())
-    keep_freed_memory()
-    torch.backends.cudnn.benchmark = True  # shapes stay, so the quickest kernels are looked for
+        torch.set_num_threads(config.threads or threads_per_rank())
+    tune_malloc()
+    torch.backends.cudnn.benchmark = True  # shapes stay, so searching the fastest kernels pays
     torch.manual_seed(config.seed)
     networks = start_networks(config).to(device)
     count = len(networks.objects)
@@ -63,7 +67,10 @@ def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) 
     together = f", {world_size()} processes" if world_size() > 1 else ""
     number_format = "bfloat16" if uses_bfloat16(device) else "float32"
     print(f"on {describe(device)} in {number_format}{together}")
-    train, held_out = first_alone(lambda: open_data(config, networks))
+    train, held_out = rank_zero_first(lambda: open_data(config, networks))
+    if config.compile:
+        for network in networks.children():
+            network.compile()  # when it first runs
     config.out.mkdir(parents=True, exist_ok=True)
     log = TrainingLog(config.out / "log.jsonl", resume=config.resume)
     done: dict[str, int] = {}
@@ -87,7 +94,7 @@ def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) 
     ]
     if unfinished:
         print(
-            f"stopped after {config.max_minutes:g} minutes; the same command goes on with "
+            f"stopped after {config.max_minutes:g} minutes; the same command resumes with "
             f"{', '.join(unfinished)}"
         )
     else:
@@ -106,8 +113,8 @@ def next_command(networks: PoseNetworks, done: Collection[str], path: Path) -> s
     missing = [part for part in ("detector", "features") if part not in networks.trained]
     if missing:
         return (
-            f"before they are of use they need {' and '.join(missing)}: the same command with "
-            f"--stages {' '.join(missing)}"
+            f"these weights cannot be evaluated until {' and '.join(missing)} are trained: the "
+            f"same command with --stages {' '.join(missing)}"
         )
     method = {"cascade": "early", "points": "rgbd"}.get([*done][-1] if done else "", "mid")
     if method == "mid" and "volume" not in networks.trained:
@@ -129,7 +136,7 @@ def start_networks(config: TrainEstimatorConfig) -> PoseNetworks:
             encoder.load_pretrained()
     if config.pretrained or config.init is not None:
         for encoder in encoders:
-            encoder.freeze(config.frozen_stages)
+            encoder.freeze(_FROZEN_ENCODER_STAGES)
     return networks
 
 
@@ -141,22 +148,23 @@ def start_from(config: TrainEstimatorConfig, networks: PoseNetworks) -> None:
         ValueError: if they are damaged, or lack 2D features, or know other objects, and the stages
             that would learn these are not asked for.
     """
-    from .checkpoints import has_checkpoint
-    from .transfer import take_over
+    from .transfer import transfer_weights
     from .weights import find_weights, read_networks
 
     assert config.init is not None
     other = read_networks(find_weights(config.init))
-    transfer = take_over(other, networks)
+    transfer = transfer_weights(other, networks)
     print(f"weights {config.init}\n{transfer}")
+    learnt = {
+        stage
+        for stage in STAGES
+        if stage in config.chosen_stages or (config.out / f"{stage}.safetensors").is_file()
+    }
+    stages_of = {"detector": {"detector"}, "features": {"features", "decoders"}}
     missing = [
         part
-        for part in ("detector", "features")
-        if part in transfer.incomplete
-        and not any(
-            stage in config.chosen_stages or has_checkpoint(config.out / f"{stage}.safetensors")
-            for stage in ((part, "decoders") if part == "features" else (part,))
-        )
+        for part, stages in stages_of.items()
+        if part in transfer.incomplete and not stages & learnt
     ]
     if missing:
         raise ValueError(
@@ -164,10 +172,7 @@ def start_from(config: TrainEstimatorConfig, networks: PoseNetworks) -> None:
             f"{', '.join(networks.objects)}: add {' and '.join(missing)} to --stages, which must "
             f"learn {', '.join(transfer.new)}"
         )
-    learnt = "features" in config.chosen_stages or has_checkpoint(
-        config.out / "features.safetensors"
-    )
-    if "features" not in transfer.parts and "decoders" in config.chosen_stages and not learnt:
+    if "decoders" in config.chosen_stages and "features" not in {*transfer.parts, *learnt}:
         raise ValueError(
             f"the weights {config.init} hold no trained 2D features for the decoders to build on: "
             "add features to --stages"
@@ -177,22 +182,21 @@ def start_from(config: TrainEstimatorConfig, networks: PoseNetworks) -> None:
 def open_data(
     config: TrainEstimatorConfig, networks: PoseNetworks
 ) -> tuple[TrainingSet, TrainingSet]:
-    """The pictures to train on and those that are held out; they are packed at the first time."""
+    """The images to train on and those that are held out; they are packed at the first time."""
     from .augmentation import AugmentationConfig
-    from .crops import pack_dataset
+    from .crop_packing import pack_dataset
     from .cut_and_paste import CutAndPasteConfig
     from .dataset import TrainingSet
 
     pack = pack_dataset(config.data, networks.objects, split=config.split)
-    shape = networks.config.features
     chance, strong = config.cut_and_paste, config.augmentation == "strong"
-    bent = AugmentationConfig.strong() if strong else AugmentationConfig()
+    open_set = partial(
+        TrainingSet, pack, networks.objects, networks.config.features,
+        AugmentationConfig.strong() if strong else AugmentationConfig(),
+        validation=config.validation,
+    )  # fmt: skip
     paste = CutAndPasteConfig(chance, chance, collages=0.5 * strong) if chance else None
-    share = config.validation
-    return (
-        TrainingSet(pack, networks.objects, shape, bent, validation=share, cut_and_paste=paste),
-        TrainingSet(pack, networks.objects, shape, bent, validation=share, held_out=True),
-    )
+    return open_set(cut_and_paste=paste), open_set(held_out=True)
 
 
 def train_stage(
@@ -210,7 +214,7 @@ def train_stage(
         config: of the training.
         name: of the stage.
         networks: whose part it is.
-        train: the pictures to train on.
+        train: the images to train on.
         held_out: those to measure on.
         log: of the training.
         deadline: when to stop, by ``time.monotonic()``.
@@ -218,14 +222,14 @@ def train_stage(
     Returns:
         The step that the part is at; None if it is not of this training.
     """
-    from .checkpoints import has_checkpoint
+    from .checkpoints import load_checkpoint, read_numbers
     from .distributed import agreed
     from .loader import default_workers
-    from .trainer import LoopConfig, restore_model, run_stage
+    from .trainer import LoopConfig, run_stage
 
     checkpoint = config.out / f"{name}.safetensors"
     asked = name in config.stages and agreed(time.monotonic() < deadline)
-    if not asked and not has_checkpoint(checkpoint):
+    if not asked and not checkpoint.is_file():
         return None
     settings = config.stage(name, len(networks.objects))
     extra: dict[str, Any] = {}
@@ -240,20 +244,17 @@ def train_stage(
         learning_rate=settings.learning_rate, seed=config.seed, workers=workers, **extra,
     )  # fmt: skip
     if asked:
-        if config.compile:
-            for network in stage.running:
-                network.compile()
         loop = LoopConfig(
             out=config.out,
             checkpoint_every=config.checkpoint_every,
             resume=config.resume,
             deadline=deadline,
-            max_part_mib=config.max_part_mib,
-            cycles=config.cycles,
+            lr_cycles=config.lr_cycles,
         )
-        step = run_stage(stage, loop, log)  # type: ignore[arg-type]
+        step = run_stage(stage, loop, log)
     else:
-        step = restore_model(stage.module, checkpoint)[1]["step"]
+        load_checkpoint(stage.module, checkpoint)
+        step = read_numbers(checkpoint)["step"]
     # Parts that were trained on other features are of no use with these; the cascade reads the
     # encoder alone.
     if name == "features":

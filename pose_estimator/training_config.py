@@ -9,31 +9,6 @@ from typing import Literal
 
 from .parts import STAGES
 
-_STAGES = {
-    "detector": (16, 1e-3),
-    "features": (32, 1e-3),
-    "decoders": (32, 1e-3),
-    "volume": (12, 2e-3),
-    "cascade": (8, 2e-3),
-    "points": (32, 2e-3),
-}
-"""Samples in a batch and the largest learning rate of each stage."""
-
-_STEPS = {
-    "detector": (1200, 500),
-    "features": (10000, 10000),
-    "volume": (3000, 1000),
-    "cascade": (4000, 4000),
-    "points": (4000, 4000),
-}
-"""Batches of each stage: from ImageNet, and with ``init``, whose networks know most of it."""
-
-_DECODER_STEPS = (1000, 2000)
-"""Batches of the decoders: for each object, and at least in all."""
-
-_PAPER_VOLUME = (2, 1e-3)
-"""The same of the stage volume with the preset ``paper``, which has a hundred times the voxels."""
-
 
 @dataclass(frozen=True)
 class StageSettings:
@@ -50,12 +25,41 @@ class StageSettings:
     learning_rate: float
 
 
+STAGE_DEFAULTS = {
+    "detector": StageSettings(1200, 16, 1e-3),
+    "features": StageSettings(10000, 32, 1e-3),
+    "decoders": StageSettings(1000, 32, 1e-3),
+    "volume": StageSettings(3000, 12, 2e-3),
+    "cascade": StageSettings(4000, 8, 2e-3),
+    "points": StageSettings(4000, 32, 2e-3),
+}
+"""How each stage is trained without options; the decoders' steps are for each object."""
+
+PAPER_VOLUME = StageSettings(3000, 2, 1e-3)
+"""The volume of the preset ``paper``, which has a hundred times the voxels."""
+
+_STEPS_WITH_INIT = {"detector": 500, "volume": 1000}
+"""Of stages whose networks know most of it from the weights that the training starts from."""
+
+_MIN_DECODER_STEPS = 2000
+
+_STEP_OPTIONS = {
+    "detector": "detector_steps",
+    "features": "feature_steps",
+    "decoders": "decoder_steps",
+    "volume": "volume_steps",
+    "cascade": "cascade_steps",
+    "points": "points_steps",
+}
+"""The option that says how many batches a stage has."""
+
+
 @dataclass(frozen=True)
 class TrainEstimatorConfig:
     """Trains the networks of the estimators on a BOP dataset that `generate` made.
 
-    Four stages follow each other: detector, 2D features with one decoder for all objects, a
-    decoder for each object, volume (of `mid`). Two more build on the 2D features and need a dataset
+    Runs four stages in order: detector, 2D features with one decoder for all objects, a decoder
+    for each object, volume (of `mid`). Two more build on the 2D features and need a dataset
     that was generated with --depth: cascade (of `early`) and points (of `rgbd`); with --init they
     are added to finished weights. Each stage writes checkpoints into --out; the same command
     continues where a killed run stopped. On two cores the default takes about three hours; with
@@ -93,39 +97,36 @@ class TrainEstimatorConfig:
     """Batches of 8 pairs of crops with depth; none = 4000."""
     points_steps: int | None = None
     """Batches of 32 crops with depth; none = 4000."""
-    frozen_stages: int = 2
-    """How many stages of the pretrained encoders stay as they are: fewer learn more, more are
-    quicker. It may change when a run is resumed."""
     tune_encoder: bool = False
     """Let the encoder go on learning in the stage decoders: that takes twice as long for each
-    batch, and where pictures are hard for the encoder, as with `--augmentation strong`, it ends at
+    batch, and where images are hard for the encoder, as with `--augmentation strong`, it ends at
     smaller errors."""
     learning_rate: float = 1.0
     """Multiplies every stage's learning rate."""
-    cycles: int = 1
-    """How often each stage's learning rate falls; the weights at the ends of the falls are
-    averaged. Two halves instead of one whole help where the test is unlike the training, as
+    lr_cycles: int = 1
+    """Cosine cycles of each stage's learning rate; the weights at the ends of the cycles are
+    averaged. Two cycles of half the length help where the test is unlike the training, as
     photographs are unlike renders."""
     preset: str = "fast"
     """Volumes of the Mid-Fusion: `fast` or `paper`, which has the paper's grids, layers and losses.
     `--preset paper --stages volume --init linemod` trains such a volume alone, on finished 2D
     features: about two seconds a step on two cores, two to three hours for 4000."""
     pose_noise: tuple[float, float] = (0.0, 0.0)
-    """Largest error of the relative camera pose that the volume is told in training: degrees and
+    """Largest error of the relative camera pose that the volume is given in training: degrees and
     millimetres."""
     pose_loss: float = 1.0
     """Weight of the pose loss in the volume's training; 0 trains without it."""
     cut_and_paste: float = 0.0
     """Probability that another object is pasted over a crop, and that its background is replaced by
-    a piece of another picture."""
+    a piece of another image."""
     augmentation: Literal["mild", "strong"] = "mild"
-    """How far pictures are changed. Mild: as for rendered ones. Strong: for estimators that shall
-    work on photographs; any light, blur, noise and colours, careless regions of interest, and half
-    of --cut-and-paste's new backgrounds are drawn collages."""
+    """How much images are augmented. Mild: as for rendered ones. Strong: for real images; any
+    light, blur, noise and colours, jittered regions of interest, and half of --cut-and-paste's new
+    backgrounds are drawn collages."""
     init: str | None = None
     """Weights to start from instead of ImageNet: the name of shipped ones, or a .safetensors file.
-    What is not trained anew is kept. Of other objects' weights, or those of another preset, the
-    parts are taken over that fit, and what these are is printed."""
+    What is not trained is kept. Of other objects' weights, or those of another preset, the parts
+    are loaded that fit, and what these are is printed."""
     store_meshes: bool = True
     """Store the meshes of your own objects with the weights. --no-store-meshes is for meshes that
     must not be passed on: the weights then hold keypoints, symmetries and sizes alone."""
@@ -136,14 +137,14 @@ class TrainEstimatorConfig:
     validation: float = 0.03
     """Fraction of the scenes that is held out."""
     seed: int = 0
-    """Of everything random."""
+    """Random seed."""
     device: str = "auto"
     """Where the networks run: auto (a GPU where there is one), cpu, cuda, cuda:N or mps."""
     threads: int = 0
     """Threads for the networks; 0 = as many as there are cores, which processes of `torchrun` on
     one machine share evenly."""
     workers: int | None = None
-    """Processes that draw and bend the pictures of each training process; 0 = itself. None = one
+    """Processes that draw and augment the images of each training process; 0 = itself. None = one
     for a processor; for a GPU as many as there are cores, less one, 16 at most. Each holds 4 MiB
     batches in shared memory (docker run --shm-size=1g)."""
     compile: bool = False
@@ -152,13 +153,11 @@ class TrainEstimatorConfig:
     it was not measured."""
     max_minutes: float = 0.0
     """Stop after so many minutes, counted from the start of the command, and write the weights as
-    they then are; the same command goes on. 0 = train to the end."""
+    they then are; the same command resumes. 0 = train to the end."""
     checkpoint_every: float = 120.0
     """Seconds between checkpoints."""
-    max_part_mib: int = 0
-    """Write checkpoints as files of at most so many MiB and an index; 0 = as one file each."""
     resume: bool = True
-    """Continue from the checkpoints in --out; --no-resume starts anew."""
+    """Continue from the checkpoints in --out; --no-resume starts over."""
     json: Path | None = None
     """Write the held-out figures as a results file."""
 
@@ -166,20 +165,16 @@ class TrainEstimatorConfig:
         for name, values in (("pose_noise", self.pose_noise), ("pose_loss", (self.pose_loss,))):
             if not all(0 <= value < math.inf for value in values):
                 raise ValueError(f"{name} must be finite and at least 0, got {getattr(self, name)}")
-        for part in ("detector", "feature", "decoder", "volume", "cascade", "points"):
-            steps = getattr(self, f"{part}_steps")
+        for option in _STEP_OPTIONS.values():
+            steps = getattr(self, option)
             if steps is not None and steps < 1:
-                raise ValueError(f"{part}_steps must be at least 1, got {steps}")
+                raise ValueError(f"{option} must be at least 1, got {steps}")
         if self.workers is not None and self.workers < 0:
             raise ValueError(f"workers must be at least 0, got {self.workers}")
         if not 0 <= self.max_minutes < math.inf:
             raise ValueError(f"max_minutes must be finite and at least 0, got {self.max_minutes}")
-        if self.max_part_mib != 0 and self.max_part_mib < 2:
-            raise ValueError(
-                f"max_part_mib must be 0, or 2 or more (a layer has one), got {self.max_part_mib}"
-            )
-        if self.cycles < 1:
-            raise ValueError(f"cycles must be at least 1, got {self.cycles}")
+        if self.lr_cycles < 1:
+            raise ValueError(f"lr_cycles must be at least 1, got {self.lr_cycles}")
         if not 0 <= self.cut_and_paste <= 1:
             raise ValueError(f"cut_and_paste must be 0 to 1, got {self.cut_and_paste}")
         if self.augmentation not in ("mild", "strong"):
@@ -201,20 +196,16 @@ class TrainEstimatorConfig:
             name: one of ``STAGES``.
             objects: how many objects are trained.
         """
-        batch, learning_rate = _STAGES[name]
+        settings = STAGE_DEFAULTS[name]
         if name == "volume" and self.preset == "paper":
-            batch, learning_rate = _PAPER_VOLUME
-        steps = {
-            "detector": self.detector_steps,
-            "features": self.feature_steps,
-            "decoders": self.decoder_steps,
-            "volume": self.volume_steps,
-            "cascade": self.cascade_steps,
-            "points": self.points_steps,
-        }[name]
+            settings = PAPER_VOLUME
+        steps = getattr(self, _STEP_OPTIONS[name])
         if steps is None and name == "decoders":
-            each, least = _DECODER_STEPS
-            steps = max(least, each * objects)
-        elif steps is None:
-            steps = _STEPS[name][self.init is not None]
-        return StageSettings(steps, batch, learning_rate * self.learning_rate)
+            steps = max(_MIN_DECODER_STEPS, settings.steps * objects)
+        elif steps is None and self.init is not None:
+            steps = _STEPS_WITH_INIT.get(name)
+        return StageSettings(
+            steps=settings.steps if steps is None else steps,
+            batch=settings.batch,
+            learning_rate=settings.learning_rate * self.learning_rate,
+        )

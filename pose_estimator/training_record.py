@@ -90,7 +90,7 @@ def header(
             "cut_and_paste": config.cut_and_paste,
             "augmentation": config.augmentation,
             "tune_encoder": config.tune_encoder,
-            "cycles": config.cycles,
+            "cycles": config.lr_cycles,
             "encoder": "EfficientNet-Lite0, ImageNet (Apache-2.0)" if config.pretrained else "none",
         },
         "held_out": dict(held_out),

@@ -1,7 +1,7 @@
 """What weights for other objects, or with another volume, have to teach: the parts that fit.
 
 Most of each network is shared by all objects. What belongs to one object alone, rows of a few
-tensors, is copied for the objects that both know; for the others it starts anew.
+tensors, is copied for the objects that both know; for the others it starts untrained.
 """
 
 from __future__ import annotations
@@ -32,40 +32,40 @@ _DETECTOR_HEAD = ("detector.head.weight", "detector.head.bias")
 
 @dataclass(frozen=True)
 class Transfer:
-    """What was taken over.
+    """What was loaded.
 
     Attributes:
         known: objects of which the other weights know everything, in the order of the networks.
         new: the other objects of the networks.
         parts: the networks that were filled, those with rows of new objects only in part.
         incomplete: those of ``parts`` that lack rows of new objects.
-        left: trained networks of the other weights that do not fit.
+        skipped: trained networks of the other weights that do not fit.
     """
 
     known: tuple[str, ...]
     new: tuple[str, ...]
     parts: tuple[str, ...]
     incomplete: tuple[str, ...]
-    left: tuple[str, ...]
+    skipped: tuple[str, ...]
 
     def __str__(self) -> str:
         """A line or three for the user."""
-        lines = [f"taken over: {', '.join(self.parts) or 'nothing'}"]
+        lines = [f"loaded: {', '.join(self.parts) or 'nothing'}"]
         if self.new and self.incomplete:
             lines.append(
                 f"new: {', '.join(self.new)} in {', '.join(self.incomplete)}; "
                 f"known before: {', '.join(self.known) or 'none of the objects'}"
             )
-        if self.left:
-            lines.append(f"does not fit and starts anew: {', '.join(self.left)}")
+        if self.skipped:
+            lines.append(f"does not fit and starts untrained: {', '.join(self.skipped)}")
         return "\n".join(lines)
 
 
-def take_over(source: PoseNetworks, networks: PoseNetworks) -> Transfer:
+def transfer_weights(source: PoseNetworks, networks: PoseNetworks) -> Transfer:
     """Fills networks with what others have learnt, and says so in their ``trained``.
 
-    A volume is taken only if it has the same preset. A part that lacks rows of new objects does not
-    count as trained.
+    A volume is loaded only if it has the same preset. A part that lacks rows of new objects does
+    not count as trained.
 
     Raises:
         ValueError: if the networks are of other shapes.
@@ -74,53 +74,43 @@ def take_over(source: PoseNetworks, networks: PoseNetworks) -> Transfer:
         wanted, given = (_shape(getattr(n.config, part)) for n in (networks, source))
         if given != wanted:
             raise ValueError(f"the weights are of networks of another shape: {given}, not {wanted}")
-    if source.config.features.own_decoders:
+    own_decoders = source.config.features.own_decoders
+    if own_decoders:
         networks.features.split_decoders()
     else:
         networks.features.share_decoders()
-    rows = {
-        networks.index[name]: source.index[name]
-        for name in networks.objects
-        if same_model(networks.objects, source.objects, name)
-    }
-    known = tuple(name for name, index in networks.index.items() if index in rows)
+    known = tuple(n for n in networks.objects if _same_model(networks.objects, source.objects, n))
     new = tuple(name for name in networks.objects if name not in known)
-    left = tuple(
-        part
-        for part in PARTS
-        if part in source.trained
-        and part == "volume"
-        and source.config.preset != networks.config.preset
-    )
-    parts = tuple(part for part in PARTS if part in source.trained and part not in left)
-    theirs, ours = source.state_dict(), networks.state_dict()
-    incomplete = set()
-    for name, value in ours.items():
+    rows = {networks.index[name]: source.index[name] for name in known}
+    other_volume = source.config.preset != networks.config.preset
+    skipped = tuple(p for p in PARTS if p in source.trained and p == "volume" and other_volume)
+    parts = tuple(p for p in PARTS if p in source.trained and p not in skipped)
+    theirs, incomplete = source.state_dict(), set()
+    for name, value in networks.state_dict().items():
         part = name.split(".")[0]
         if part not in parts:
             continue
-        axes = _object_rows(name, value, len(networks.objects))
+        axes = _object_rows(name, len(networks.objects))
         if axes is not None and new:
             incomplete.add(part)
         decoder = _OWN_DECODER.match(name)
-        if decoder is not None and source.config.features.own_decoders:
-            number, rest = int(decoder[1]), decoder[2]
+        if decoder is not None and own_decoders:
             # A new object's decoder starts as the mean of those there are.
+            number = int(decoder[1])
             others = [rows[number]] if number in rows else range(len(source.objects))
-            each = [theirs[f"features.decoders.{other}.{rest}"] for other in others]
-            value.copy_(torch.stack(each).double().mean(0))
-            continue
-        if name not in theirs or (axes is None and theirs[name].shape != value.shape):
+            copies = [theirs[f"features.decoders.{other}.{decoder[2]}"] for other in others]
+            value.copy_(torch.stack(copies).double().mean(0))
+        elif name not in theirs or (axes is None and theirs[name].shape != value.shape):
             raise ValueError(f"the weights are of networks of another shape: {name} does not fit")
-        if axes is None:
+        elif axes is None:
             value.copy_(theirs[name])
-            continue
-        their_axes = _object_rows(name, theirs[name], len(source.objects))
-        assert their_axes is not None
-        for mine, other in rows.items():
-            value[axes[mine]] = theirs[name][their_axes[other]]
+        else:
+            their_axes = _object_rows(name, len(source.objects))
+            assert their_axes is not None
+            for mine, other in rows.items():
+                value[axes[mine]] = theirs[name][their_axes[other]]
     networks.trained = frozenset(parts) - incomplete
-    return Transfer(known, new, parts, tuple(p for p in parts if p in incomplete), left)
+    return Transfer(known, new, parts, tuple(p for p in parts if p in incomplete), skipped)
 
 
 def _shape(config: DetectorConfig | FeatureConfig) -> DetectorConfig | FeatureConfig:
@@ -128,7 +118,7 @@ def _shape(config: DetectorConfig | FeatureConfig) -> DetectorConfig | FeatureCo
     return replace(config, own_decoders=False) if isinstance(config, FeatureConfig) else config
 
 
-def same_model(
+def _same_model(
     objects: Mapping[str, ObjectModel], others: Mapping[str, ObjectModel], name: str
 ) -> bool:
     """Whether both have an object of that name with the same keypoints."""
@@ -139,7 +129,7 @@ def same_model(
     )
 
 
-def _object_rows(name: str, value: Tensor, count: int) -> Sequence[Tensor] | None:
+def _object_rows(name: str, count: int) -> Sequence[Tensor] | None:
     """The rows of a tensor that belong to each of ``count`` objects; None if it is shared."""
     if name.endswith(_ROWS):
         return [torch.tensor([index]) for index in range(count)]

@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from .dataset import TrainingSet
-from .geometry import grid_matrix, make_transform
 from .loader import Batch, Draw, Sample
 from .losses import distribution_loss, keypoint_loss, pose_loss
+from .pose_noise import perturb_relative_pose
 from .solvers import RigidMotions, solve
-from .stages import StageBase, correct_poses, table
+from .stage_base import Answers, KeypointStage, table
 from .symmetry import keypoint_permutations
 from .target_sample import arrays_of_pair, as_input
 from .volume import LevelOutput, ViewMaps
@@ -29,7 +28,7 @@ _GUESS_NOISE = 0.1
 """Standard deviation of the guess of the centre, in diameters."""
 
 
-class VolumeStage(StageBase):
+class VolumeStage(KeypointStage):
     """The volume on pairs of views; of the 2D network only the lifted map is trained with it.
 
     The loss is the paper's, the sum over the levels of beta1 pose + beta2 keypoint + beta3 KL
@@ -38,13 +37,13 @@ class VolumeStage(StageBase):
 
     Args:
         args: of :class:`StageBase`.
-        pose_noise: largest error of the relative pose that the volume is told, as rotation in
-            degrees and translation in metres; see :func:`perturb`.
+        pose_noise: largest error of the relative pose that the volume is given, as rotation in
+            degrees and translation in metres; see :func:`perturb_relative_pose`.
         pose_weight: of the pose loss; 0 leaves it out.
         kwargs: of :class:`StageBase`.
     """
 
-    name = "volume"
+    name = part = "volume"
 
     def __init__(
         self,
@@ -58,28 +57,15 @@ class VolumeStage(StageBase):
         self.pose_weight = pose_weight
         # Volumes with voxels of a fixed size are a hundred times as large as others.
         self.validation = (16, 16) if self.networks.volume.config.fine.cells else (24, 2)
-        self.networks.features.requires_grad_(False)
         heads = self.networks.features.volume_heads.requires_grad_(True)
         self._module = torch.nn.ModuleDict({"volume": self.networks.volume, "heads": heads})
-        models = self.train.models
-        to_grid = grid_matrix(self.networks.features.config.stride)
-        self._to_grid = torch.from_numpy(to_grid).float().to(self.device)
-        keypoints = np.stack([m.keypoints for m in models])
-        self.keypoints = torch.from_numpy(keypoints).float().to(self.device)
-        self.diameters = torch.tensor(
-            [m.diameter for m in models], dtype=torch.float32, device=self.device
-        )
         self.permutations = table(
-            [keypoint_permutations(m.keypoints, m.symmetries) for m in models]
+            [keypoint_permutations(m.keypoints, m.symmetries) for m in self.train.models]
         ).to(self.device)
 
     @property
     def module(self) -> torch.nn.Module:
         return self._module
-
-    @property
-    def running(self) -> tuple[torch.nn.Module, ...]:
-        return self.networks.features, self.networks.volume
 
     def drawing(self, *, held_out: bool = False) -> Draw:
         if held_out:
@@ -95,16 +81,16 @@ class VolumeStage(StageBase):
         with self.autocast():
             out = networks.features(as_input(batch["crop"]), index.repeat_interleave(2))
         mean, covariance, _ = (part.unflatten(0, (count, 2)) for part in vote(out))
-        K = self._to_grid @ batch["K"]
-        truth = self.keypoints[index] @ T_true[:, :3, :3].mT + T_true[:, None, :3, 3]
-        mean, covariance = self.agree(
+        K = self.to_grid @ batch["K"]
+        truth = self.place(T_true, index)
+        mean, covariance = self.relabel_votes(
             mean, covariance, _projections(K, batch["T_second_ref"]), truth, index
         )
         diameter = self.diameters[index]
         guess = truth[:, -1] + batch["guess_error"] * diameter[:, None]
         maps = ViewMaps(
             features=out.volume.unflatten(0, (count, 2)),
-            projection=_projections(K, batch["told_T_second_ref"]),
+            projection=_projections(K, batch["noisy_T_second_ref"]),
             vote_mean=mean,
             vote_covariance=covariance,
         )
@@ -119,7 +105,7 @@ class VolumeStage(StageBase):
         """The poses that a level's keypoints mean, differentiably."""
         return solve(self.keypoints[out["index"]], level.keypoints.float(), out["diameter"])
 
-    def agree(
+    def relabel_votes(
         self, mean: Tensor, covariance: Tensor, projection: Tensor, truth: Tensor, index: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Renumbers votes on symmetric objects to the pose that is trained.
@@ -155,10 +141,7 @@ class VolumeStage(StageBase):
             )
             distance = keypoint_loss(level.keypoints, out["truth"], out["diameter"])
             total = total + _DISTRIBUTION_WEIGHT * distribution + _KEYPOINT_WEIGHT * distance
-            numbers |= {
-                f"{name}_kl": distribution,
-                f"{name}_distance": distance,
-            }
+            numbers |= {f"{name}_kl": distribution, f"{name}_distance": distance}
             if self.pose_weight and (name == "fine" or self.networks.volume.config.coarse_pose):
                 solution = self.solve(level, out)
                 pose = pose_loss(
@@ -169,55 +152,32 @@ class VolumeStage(StageBase):
                 numbers["pose" if name == "fine" else "coarse_pose"] = pose
         return total, numbers
 
-    @torch.no_grad()
-    def validate(self) -> dict[str, float]:
-        """3D keypoint distance over the diameter, and ADD(-S) recall, guess with noise."""
-        self.networks.volume.eval()
-        errors: list[np.ndarray] = []
-        hits: list[bool] = []
-        for batch in self.held_out_batches():
-            out = self.forward(batch)
-            solution = self.solve(out["levels"][-1], out)
-            distance = (out["levels"][-1].keypoints - out["truth"]).norm(dim=-1).mean(1)
-            errors.append((distance / out["diameter"]).cpu().numpy())
-            hits += correct_poses(solution, out["index"], out["T_true"], self.held_out.models)
-        return {
-            "keypoint_over_diameter": float(np.mean(np.concatenate(errors))),
-            "add_recall": float(np.mean(hits)),
-        }
-
-
-def perturb(
-    T_second_ref: np.ndarray, degrees: float, metres: float, rng: np.random.Generator
-) -> np.ndarray:
-    """A relative pose (4, 4) as an inexact calibration would tell it.
-
-    The second camera's frame is turned about a random axis through its centre by an angle that is
-    even from 0 to ``degrees``, and shifted in a random direction by a length even from 0 to
-    ``metres``.
-    """
-    axis, direction = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
-    turn = Rotation.from_rotvec(axis * np.radians(rng.uniform(0, degrees))).as_matrix()
-    return make_transform(turn, direction * rng.uniform(0, metres)) @ T_second_ref
+    def answers(self, batch: Batch) -> Answers:
+        out = self.forward(batch)
+        level = out["levels"][-1]
+        motions = self.solve(level, out)
+        return Answers(level.keypoints, motions, out["truth"], out["T_true"], out["index"])
 
 
 def draw_guessed_pair(
     source: TrainingSet, pose_noise: tuple[float, float], rng: np.random.Generator
 ) -> Sample:
-    """A pair, a guess of its centre, and the relative pose that the volume is told of it.
+    """A pair, a guess of its centre, and the relative pose that the volume is given.
 
     Args:
         source: of the pair.
-        pose_noise: largest error of the relative pose that is told, see :func:`perturb`.
+        pose_noise: largest error of that pose in degrees and metres.
         rng: of the draws.
     """
     first, second, T_second_ref = source.draw_pair(rng, with_depth=False)
     guess_error = rng.normal(0, _GUESS_NOISE, 3)
-    told = perturb(T_second_ref, *pose_noise, rng) if any(pose_noise) else T_second_ref
+    noisy = T_second_ref
+    if any(pose_noise):
+        noisy = perturb_relative_pose(T_second_ref, *pose_noise, rng, uniform=True)
     return {
         **arrays_of_pair(first, second),
         "T_second_ref": T_second_ref.astype(np.float32),
-        "told_T_second_ref": told.astype(np.float32),
+        "noisy_T_second_ref": noisy.astype(np.float32),
         "guess_error": guess_error.astype(np.float32),
     }
 

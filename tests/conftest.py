@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,17 +24,14 @@ def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
 
 @pytest.fixture(scope="module")
 def tiny_training() -> Iterator[None]:
-    """Batches of two, no measuring while training, and no processes, which take long to start."""
-    from two_view_pose.pose_estimator import crops, training_config
+    """Batches of two, and no measuring while training."""
     from two_view_pose.pose_estimator.stages import CropStage, DetectorStage
+    from two_view_pose.pose_estimator.training_config import STAGE_DEFAULTS
     from two_view_pose.pose_estimator.volume_stage import VolumeStage
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            crops, "ProcessPoolExecutor", lambda workers, mp_context: ThreadPoolExecutor(workers)
-        )
-        for name, (_, learning_rate) in training_config._STAGES.items():
-            patch.setitem(training_config._STAGES, name, (2, learning_rate))
+        for name, settings in STAGE_DEFAULTS.items():
+            patch.setitem(STAGE_DEFAULTS, name, replace(settings, batch=2))
         for stage in (DetectorStage, CropStage, VolumeStage):
             patch.setattr(stage, "validate", lambda self: {"figure": 0.5})
         yield

@@ -22,7 +22,6 @@ from two_view_pose.pose_estimator.geometry import LINEMOD_K
 OPTIONS = {
     "demo": "seed object scene policy device out json",
     "generate": "out scenes objects scene seed workers",
-    "cut-and-paste": "data out images backgrounds split objects move seed json",
     "check-data": "split scenes images out pictures json",
     "train-estimator": "data out objects split stages init seed",
     "evaluate": "method weights preset solver roi scene objects data pairs csv score device json",

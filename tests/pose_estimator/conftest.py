@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -13,7 +12,6 @@ import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 from two_view_pose.assets.object_model import ObjectModel
-from two_view_pose.pose_estimator import crops
 from two_view_pose.pose_estimator.bop import BopAnnotation
 from two_view_pose.pose_estimator.bop_boxes import bounding_box
 from two_view_pose.pose_estimator.bop_models import write_models
@@ -23,6 +21,7 @@ from two_view_pose.pose_estimator.bop_writer import (
     write_pairs,
     write_scene,
 )
+from two_view_pose.pose_estimator.crop_packing import pack_dataset
 from two_view_pose.pose_estimator.crops import CropPack
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, invert, make_transform, project
 from two_view_pose.pose_estimator.networks import PoseNetworks
@@ -144,16 +143,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory, boxes: dict[str, ObjectMod
     return root
 
 
-class _Threads(ThreadPoolExecutor):
-    """Stands in for a pool of processes, which would take seconds to start."""
-
-    def __init__(self, workers: int, mp_context: object):
-        super().__init__(workers)
-
-
 @pytest.fixture(scope="session")
 def pack(dataset: Path, boxes: dict[str, ObjectModel]) -> CropPack:
     """The dataset, packed for training."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(crops, "ProcessPoolExecutor", _Threads)
-        return crops.pack_dataset(dataset, boxes, workers=1)
+    return pack_dataset(dataset, boxes)

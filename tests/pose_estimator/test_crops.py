@@ -1,19 +1,17 @@
 """Crops keep positions to a small part of a pixel, whatever the scale; packs say what they hold."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-from two_view_pose.pose_estimator.crops import (
-    STORED_SCALE,
-    STORED_SIDE,
-    CropPack,
-    pack_dataset,
-    warp_crop,
-)
+from two_view_pose.pose_estimator.bop import read_dataset
+from two_view_pose.pose_estimator.crop_packing import pack_dataset
+from two_view_pose.pose_estimator.crops import STORED_SCALE, STORED_SIDE, CropPack
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, crop_matrix, project
+from two_view_pose.pose_estimator.image_crop import warp_crop
 
 
 def dot(position: tuple[float, float], sigma: float) -> np.ndarray:
@@ -97,22 +95,49 @@ def test_a_pack_holds_every_target_centred(pack: CropPack, boxes, dataset):
     assert np.abs(frame[round(v), round(u)].astype(int) - (220, 40, 40)).max() < 12
 
 
-def test_a_pack_is_opened_again_and_made_anew_for_other_objects(dataset, boxes, pack, monkeypatch):
-    from two_view_pose.pose_estimator import crops
+def packed_at(dataset) -> int:
+    return (dataset / "packed_train_pbr" / "crops.bin").stat().st_mtime_ns
 
-    def fail(*args: object) -> None:
-        raise AssertionError("packed twice")
 
-    monkeypatch.setattr(crops, "_pack", fail)
-    again = pack_dataset(dataset, boxes)
-    assert np.array_equal(again.crops, pack.crops)
-    header = json.loads((dataset / "packed_train_pbr" / "header.json").read_text())
-    assert header["objects"] == ["brick", "crate"]
+def test_a_pack_is_opened_again_and_made_again_for_others(dataset, boxes, tmp_path):
+    copy = shutil.copytree(dataset, tmp_path / "copy", ignore=shutil.ignore_patterns("packed_*"))
+    first = pack_dataset(copy, boxes)
+    made = packed_at(copy)
+    assert np.array_equal(pack_dataset(copy, boxes).crops, first.crops) and packed_at(copy) == made
     larger = replace(boxes["brick"], diameter=boxes["brick"].diameter * 1.01)
     moved = replace(boxes["brick"], keypoints=boxes["brick"].keypoints + 1e-4)
-    for others in ({}, {"brick": larger}, {"brick": moved}):
-        with pytest.raises(AssertionError, match="packed twice"):
-            pack_dataset(dataset, {**others, "crate": boxes["crate"]})
+    for others in ({"brick": larger}, {"brick": moved}, {}):
+        pack_dataset(copy, {**others, "crate": boxes["crate"]})
+        assert packed_at(copy) > made
+        made = packed_at(copy)
+
+
+def test_a_pack_is_made_again_for_other_scenes_of_the_same_number(dataset, boxes, tmp_path):
+    copy = shutil.copytree(dataset, tmp_path / "copy", ignore=shutil.ignore_patterns("packed_*"))
+    scenes = copy / "train_pbr"
+    assert set(pack_dataset(copy, boxes).scene_id) == {0, 1, 2}
+    (scenes / "000001").rename(scenes / "000007")
+    assert set(pack_dataset(copy, boxes).scene_id) == {0, 2, 7}
+    truth = scenes / "000007" / "scene_gt.json"
+    poses = json.loads(truth.read_text())
+    poses["0"][0]["cam_t_m2c"] = [1.5, 2.5, 1000.125]
+    truth.write_text(json.dumps(poses))
+    changed = pack_dataset(copy, boxes)
+    image = read_dataset(copy, "train_pbr").scene(7)[0]
+    found = [np.allclose(T, image.annotations[0].T_cam_obj) for T in changed.T_cam_obj]
+    assert sum(found) == 1
+
+
+def test_many_scenes_are_packed_by_several_processes(dataset, boxes, tmp_path):
+    scenes = tmp_path / "many" / "train_pbr"
+    for number in range(9):
+        shutil.copytree(dataset / "train_pbr" / f"{number % 3:06d}", scenes / f"{number:06d}")
+    many, few = pack_dataset(tmp_path / "many", boxes), pack_dataset(dataset, boxes)
+    assert np.array_equal(many.scene_id, np.arange(9).repeat(3))
+    targets, length = len(few.object_index), len(few.crops)
+    assert np.array_equal(many.T_cam_obj, np.tile(few.T_cam_obj, (3, 1, 1)))
+    assert np.array_equal(many.spans[targets : 2 * targets], few.spans + length)
+    assert np.array_equal(many.crops, np.tile(few.crops, 3))
 
 
 def test_a_missing_split_is_named(dataset, boxes):

@@ -172,11 +172,11 @@ def test_validation_measures_millimetres_on_the_object(stage: CascadeStage, monk
 
     monkeypatch.setattr(stage, "held_out", SimpleNamespace(draw_pair=noted))
     off = Off(stage.networks.cascade.config, drawn)
-    monkeypatch.setitem(stage.networks._modules, "cascade", off)
     monkeypatch.setattr(
         stage.networks.features.encoder, "pyramid",
         lambda crops: [crops.new_zeros(len(crops), 1, 1, 1)] * 5,
     )  # fmt: skip
+    stage.networks = SimpleNamespace(features=stage.networks.features, cascade=off)
     numbers = stage.validate()
     assert numbers["depth_error_mm"] == pytest.approx(5, abs=1e-3)
     assert numbers["depth_error_mm_p80"] == pytest.approx(5, abs=1e-3)

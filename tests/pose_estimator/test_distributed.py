@@ -23,13 +23,13 @@ from two_view_pose.pose_estimator import distributed
 from two_view_pose.pose_estimator.checkpoints import read_numbers
 from two_view_pose.pose_estimator.distributed import (
     agreed,
-    first_alone,
+    convert_sync_batchnorms,
     in_parallel,
-    own_cores,
     own_device,
     process_group,
     rank,
-    synchronise_batch_norms,
+    rank_zero_first,
+    threads_per_rank,
     world_size,
 )
 from two_view_pose.pose_estimator.weights import read_header
@@ -128,7 +128,7 @@ def test_the_first_process_alone_packs_validates_logs_and_prints(together):
 def test_an_error_of_the_first_process_stops_the_others(together):
     first, second = (said["error"] for said in together.said)
     assert "invalid literal" in first
-    assert second == "the first process failed; its message says why"
+    assert second == "rank 0 failed; see its message"
 
 
 def test_one_process_alone_does_as_without_all_this(monkeypatch):
@@ -137,10 +137,10 @@ def test_one_process_alone_does_as_without_all_this(monkeypatch):
     net = nn.Sequential(nn.Linear(2, 3), nn.BatchNorm1d(3))
     with process_group(torch.device("cpu")):
         assert (rank(), world_size()) == (0, 1)
-        assert first_alone(lambda: 5) == 5 and agreed(True) and not agreed(False)
-        synchronise_batch_norms(net)
+        assert rank_zero_first(lambda: 5) == 5 and agreed(True) and not agreed(False)
+        convert_sync_batchnorms(net)
         assert in_parallel(net) is net and type(net[1]) is nn.BatchNorm1d
-    assert own_cores() == len(os.sched_getaffinity(0))
+    assert threads_per_rank() == len(os.sched_getaffinity(0))
 
 
 def test_each_process_takes_a_gpu_of_its_own(monkeypatch):

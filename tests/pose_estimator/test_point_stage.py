@@ -15,7 +15,7 @@ from two_view_pose.pose_estimator.features import FeatureConfig, Features2D
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, crop_matrix, make_transform, project
 from two_view_pose.pose_estimator.loader import Batch, collate
 from two_view_pose.pose_estimator.networks import PoseNetworks
-from two_view_pose.pose_estimator.point_stage import PointStage, draw_noisy, vote_losses
+from two_view_pose.pose_estimator.point_stage import PointStage, draw_with_sensor_noise, vote_losses
 from two_view_pose.pose_estimator.point_voting import PointConfig, PointVotes, PointVotingNet
 from two_view_pose.pose_estimator.target_sample import TargetSample, arrays_of
 
@@ -139,7 +139,10 @@ def test_batches_are_noisy_and_go_on_from_any_number(make_stage):
     assert all(torch.equal(second[name], again[name]) for name in second)
     depths = [torch.from_numpy(s.depth) for s in stage.train.samples]
     assert not any(torch.equal(noisy, depth) for noisy in first["depth"] for depth in depths)
-    assert draw_noisy(stage.train, np.random.default_rng(0))["depth"].shape == (SIDE, SIDE)
+    assert draw_with_sensor_noise(stage.train, np.random.default_rng(0))["depth"].shape == (
+        SIDE,
+        SIDE,
+    )
 
 
 def test_symmetric_objects_may_answer_with_any_equivalent_pose(make_stage, boxes):

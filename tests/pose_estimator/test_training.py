@@ -2,7 +2,7 @@
 
 import copy
 import json
-from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +12,7 @@ import torch
 from boxes_with_depth import box_depth
 from safetensors.torch import load_file
 from two_view_pose import assets, pose_estimator
-from two_view_pose.pose_estimator import crops, optimizer, trainer, training, training_config
+from two_view_pose.pose_estimator import optimizer, trainer, training
 from two_view_pose.pose_estimator.bop import read_dataset, read_mask, read_rgb
 from two_view_pose.pose_estimator.bop_writer import BopFrame, write_scene
 from two_view_pose.pose_estimator.crops import CropPack
@@ -22,7 +22,7 @@ from two_view_pose.pose_estimator.networks import PoseNetworks
 from two_view_pose.pose_estimator.point_stage import PointStage
 from two_view_pose.pose_estimator.stages import DecoderStage, DetectorStage, FeatureStage
 from two_view_pose.pose_estimator.training import train_estimator
-from two_view_pose.pose_estimator.training_config import TrainEstimatorConfig
+from two_view_pose.pose_estimator.training_config import STAGE_DEFAULTS, TrainEstimatorConfig
 from two_view_pose.pose_estimator.training_record import describe_data
 from two_view_pose.pose_estimator.volume_stage import VolumeStage
 from two_view_pose.pose_estimator.weights import read_header, save_weights
@@ -42,7 +42,7 @@ def test_all_stages_end_in_weights_that_load(
         "volume": VolumeStage,
     }  # fmt: skip
     for name, stage in stages.items():
-        monkeypatch.setitem(training_config._STAGES, name, (2, 1e-3))
+        monkeypatch.setitem(STAGE_DEFAULTS, name, replace(STAGE_DEFAULTS[name], batch=2))
         monkeypatch.setattr(stage, "validate", lambda self: {"figure": 0.5})
     config = TrainEstimatorConfig(
         data=dataset, out=tmp_path / "out", detector_steps=1, feature_steps=1, decoder_steps=1,
@@ -68,9 +68,9 @@ def test_a_budget_ends_in_weights_and_the_same_command_goes_on(
 ):
     monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
     for name, stage in (("detector", DetectorStage), ("features", FeatureStage)):
-        monkeypatch.setitem(training_config._STAGES, name, (2, 1e-3))
+        monkeypatch.setitem(STAGE_DEFAULTS, name, replace(STAGE_DEFAULTS[name], batch=2))
         monkeypatch.setattr(stage, "validate", lambda self: {"figure": 0.5})
-    monkeypatch.setattr(optimizer, "_LEAST_SIDE", 10**9)  # AdamW alone, which is quicker
+    monkeypatch.setattr(optimizer, "MIN_SIDE", 10**9)  # AdamW alone, which is quicker
     minutes = 0.0
     clock = SimpleNamespace(monotonic=lambda: 60 * minutes)
     for module in (training, trainer):
@@ -97,7 +97,7 @@ def test_a_budget_ends_in_weights_and_the_same_command_goes_on(
     header = read_header(path)
     assert header["training"]["steps"] == {"detector": 1} and header["trained"] == ["detector"]
     printed = capsys.readouterr().out
-    assert "stopped after 0.5 minutes; the same command goes on with detector (1 of 2" in printed
+    assert "stopped after 0.5 minutes; the same command resumes with detector (1 of 2" in printed
     assert "features (0 of 1 steps)" in printed and "on cpu in" in printed
     run("budget", max_minutes=1.5)
     assert read_header(path)["training"]["steps"] == {"detector": 2, "features": 1}
@@ -107,9 +107,8 @@ def test_a_budget_ends_in_weights_and_the_same_command_goes_on(
 
 
 @pytest.fixture
-def dataset_with_depth(dataset: Path, boxes, tmp_path: Path, monkeypatch) -> Path:
+def dataset_with_depth(dataset: Path, boxes, tmp_path: Path) -> Path:
     """Two pictures of each of two scenes, with the depth of the boxes alone."""
-    monkeypatch.setattr(crops, "ProcessPoolExecutor", lambda n, mp_context: ThreadPoolExecutor(n))
     models = {model.obj_id: model for model in boxes.values()}
     source = read_dataset(dataset, "train_pbr")
     for scene_id in source.scene_ids[:2]:
@@ -139,7 +138,7 @@ def test_a_part_is_added_to_finished_weights(
     dataset_with_depth: Path, boxes, networks: PoseNetworks, tmp_path: Path, monkeypatch,
 ):  # fmt: skip
     monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
-    monkeypatch.setitem(training_config._STAGES, part, (1, 1e-3))
+    monkeypatch.setitem(STAGE_DEFAULTS, part, replace(STAGE_DEFAULTS[part], batch=1))
     monkeypatch.setattr(stage, "validate", lambda self: {"figure": 0.5})
     finished = copy.copy(networks)
     finished.trained = frozenset({"detector", "features", "volume"})
@@ -203,7 +202,7 @@ def test_the_volume_stage_sees_one_pose_in_both_views(
     other = pixels[stage.permutations[1, 1]]
     mean = torch.stack([other, pixels])[None].clone()
     covariance = torch.arange(9.0)[:, None, None].expand(9, 2, 2).expand(1, 2, 9, 2, 2).clone()
-    mean, covariance = stage.agree(mean, covariance, projection, truth, torch.tensor([1]))
+    mean, covariance = stage.relabel_votes(mean, covariance, projection, truth, torch.tensor([1]))
     assert torch.allclose(mean[0, 0], pixels) and torch.allclose(mean[0, 1], pixels)
     assert torch.equal(covariance[0, 0, :, 0, 0], stage.permutations[1, 1].float())
     assert np.array_equal(covariance[0, 1, :, 0, 0].numpy(), np.arange(9))

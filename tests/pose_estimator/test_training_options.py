@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
 from two_view_pose import assets, pose_estimator
 from two_view_pose.pose_estimator import training_config
 from two_view_pose.pose_estimator.crops import CropPack
+from two_view_pose.pose_estimator.cut_and_paste import CropPaster, CutAndPasteConfig
 from two_view_pose.pose_estimator.dataset import TrainingSet
 from two_view_pose.pose_estimator.networks import PoseNetworks
 from two_view_pose.pose_estimator.training import train_estimator
@@ -34,8 +36,9 @@ def quick(monkeypatch, boxes) -> None:
     """Lets a training take a second."""
     monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
     monkeypatch.setattr(VolumeStage, "validate", lambda self: {"figure": 0.5})
-    monkeypatch.setitem(training_config._STAGES, "volume", (1, 2e-3))
-    monkeypatch.setattr(training_config, "_PAPER_VOLUME", (1, 1e-3))
+    one = replace(training_config.PAPER_VOLUME, batch=1)
+    monkeypatch.setitem(training_config.STAGE_DEFAULTS, "volume", one)
+    monkeypatch.setattr(training_config, "PAPER_VOLUME", one)
 
 
 def test_a_paper_volume_is_trained_on_finished_features(
@@ -70,33 +73,38 @@ def test_a_paper_volume_is_trained_on_finished_features(
         if not name.startswith(("volume.", "features.decoders.0.volume_head.")):
             assert torch.equal(before[name], after[name]), name
     assert pose_estimator.load("mid", path).object_names == ("brick", "crate")
-    assert "does not fit and starts anew: volume" in capsys.readouterr().out
+    assert "does not fit and starts untrained: volume" in capsys.readouterr().out
 
 
 def test_options_reach_the_stage_in_metres_and_the_sets(
     dataset: Path, pack: CropPack, boxes, finished: Path, tmp_path: Path, monkeypatch
 ):
     quick(monkeypatch, boxes)
-    seen: dict = {}
+    stages, pasted = [], []
+    paste = CropPaster.paste
 
-    class Heard(Exception):
-        pass
+    def listen(self, *args):
+        pasted.append(self.config)
+        return paste(self, *args)
 
-    def listen(stage, loop, log):
-        seen["stage"] = stage
-        raise Heard
+    def keep(stage, loop, log) -> int:
+        stages.append(stage)
+        return stage.steps
 
-    monkeypatch.setattr("two_view_pose.pose_estimator.trainer.run_stage", listen)
+    monkeypatch.setattr(CropPaster, "paste", listen)
+    monkeypatch.setattr("two_view_pose.pose_estimator.trainer.run_stage", keep)
     config = TrainEstimatorConfig(
         data=dataset, out=tmp_path / "out", stages=("volume",), init=str(finished),
         validation=0.3, threads=1, workers=0,
         pose_noise=(2.0, 10.0), pose_loss=0.0, cut_and_paste=0.5,
     )  # fmt: skip
-    with pytest.raises(Heard):
-        train_estimator(config)
-    stage = seen["stage"]
+    train_estimator(config)
+    (stage,) = stages
     assert stage.pose_noise == (2.0, 0.01) and stage.pose_weight == 0
-    assert stage.train._paster is not None and stage.held_out._paster is None
+    stage.train.draw_target(np.random.default_rng(0))
+    assert pasted == [CutAndPasteConfig(0.5, 0.5)]
+    stage.held_out.draw_target(np.random.default_rng(0))
+    assert len(pasted) == 1
 
 
 def test_a_new_volume_leaves_the_parts_that_do_not_read_it(
@@ -125,7 +133,7 @@ def test_a_new_volume_leaves_the_parts_that_do_not_read_it(
         ({"pose_loss": -0.1}, "pose_loss must be finite and at least 0, got -0.1"),
         ({"workers": -1}, "workers must be at least 0, got -1"),
         ({"max_minutes": float("inf")}, "max_minutes must be finite and at least 0, got inf"),
-        ({"max_part_mib": 1}, "max_part_mib must be 0, or 2 or more .* got 1"),
+        ({"lr_cycles": 0}, "lr_cycles must be at least 1, got 0"),
         ({"cut_and_paste": 1.2}, "cut_and_paste must be 0 to 1, got 1.2"),
     ],
 )

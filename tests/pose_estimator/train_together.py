@@ -7,28 +7,29 @@ from __future__ import annotations
 
 import json
 import sys
-from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors.torch import save_file
 from torch import Tensor
-from two_view_pose.pose_estimator import crops, optimizer, training_config
-from two_view_pose.pose_estimator.crops import pack_dataset
+from two_view_pose.pose_estimator import crop_packing, optimizer
+from two_view_pose.pose_estimator.crop_packing import pack_dataset
 from two_view_pose.pose_estimator.dataset import TrainingSet
 from two_view_pose.pose_estimator.distributed import (
-    first_alone,
     in_parallel,
     process_group,
     rank,
+    rank_zero_first,
     world_size,
 )
 from two_view_pose.pose_estimator.networks import PoseNetworks
 from two_view_pose.pose_estimator.stages import DecoderStage, FeatureStage
 from two_view_pose.pose_estimator.trainer import _Loss
 from two_view_pose.pose_estimator.training import train_estimator
-from two_view_pose.pose_estimator.training_config import TrainEstimatorConfig
+from two_view_pose.pose_estimator.training_config import STAGE_DEFAULTS, TrainEstimatorConfig
 from two_view_pose.pose_estimator.training_objects import training_objects
 
 BATCH = 4
@@ -88,17 +89,16 @@ def train(dataset: Path, out: Path, stop_at: int | None = None) -> FeatureStage:
 def main(dataset: Path, out: Path) -> None:
     """All of it, and what came of it in files of ``out`` that are named by the process."""
     said: dict[str, object] = {"packed": 0}
-    pack = crops._pack
+    encode = crop_packing.encode_image
 
-    def count_packs(*args: object) -> None:
+    def count_packs(*args: Any) -> bytes:
         said["packed"] = 1
-        pack(*args)  # type: ignore[arg-type]
+        return encode(*args)
 
-    crops._pack = count_packs  # type: ignore[assignment]
-    crops.ProcessPoolExecutor = lambda n, mp_context: ThreadPoolExecutor(n)  # type: ignore
-    training_config._STAGES["features"] = (BATCH // 2, 1e-3)
+    crop_packing.encode_image = count_packs  # type: ignore[assignment]
+    STAGE_DEFAULTS["features"] = replace(STAGE_DEFAULTS["features"], batch=BATCH // 2)
     FeatureStage.validate = lambda self: {"figure": float(rank())}  # type: ignore[method-assign]
-    optimizer._LEAST_SIDE = 10**9  # AdamW alone, which is quicker
+    optimizer.MIN_SIDE = 10**9  # AdamW alone, which is quicker
     torch.set_num_threads(1)
     with process_group(CPU):
         train(dataset, out / "whole")
@@ -108,7 +108,7 @@ def main(dataset: Path, out: Path) -> None:
         save_file(ended, out / f"ended-{rank()}.safetensors")
         save_file(gradient(dataset), out / f"gradient-{rank()}.safetensors")
         try:
-            first_alone(partial(int, "none"))
+            rank_zero_first(partial(int, "none"))
         except ValueError as error:
             said["error"] = str(error)
         (out / f"said-{rank()}.json").write_text(json.dumps(said))
