@@ -11,10 +11,10 @@ from .view_sphere import Action, check_view_sphere, view_actions
 
 
 class OraclePolicy:
-    """Takes the candidate of the highest reward, which it learns from ``peek_all``.
+    """Takes the candidate of the highest reward, which it learns from ``simulate_actions``.
 
     Args:
-        env: an environment that has ``peek_all``.
+        env: an environment that has ``simulate_actions``.
 
     Raises:
         ValueError: if it cannot.
@@ -24,8 +24,8 @@ class OraclePolicy:
 
     def __init__(self, env: gym.Env) -> None:
         self._env = check_view_sphere(env)
-        if not hasattr(self._env, "peek_all"):
-            raise ValueError(f"oracle needs an environment with peek_all(), got {self._env}")
+        if not hasattr(self._env, "simulate_actions"):
+            raise ValueError(f"oracle needs an env with simulate_actions(), got {self._env}")
 
     def reset(self, rng: np.random.Generator) -> None:
         """Nothing to do: the policy draws nothing."""
@@ -33,5 +33,6 @@ class OraclePolicy:
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
         """The best candidate by the true error; in a Box those of ``TwoViewPoseDiscrete-v0``."""
         actions = view_actions(self._env)
-        errors = [info["ground_truth"]["add_second"] for *_, info in self._env.peek_all(actions)]
+        outputs = self._env.simulate_actions(actions)
+        errors = [info["ground_truth"]["add_second"] for *_, info in outputs]
         return actions[int(np.argmin(errors))]

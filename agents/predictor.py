@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..envs.carrier import directions_from
-from ..envs.observation import SURROUNDINGS
+from ..envs.observation import CROP_SCALE
 from ..pose_estimator.features import FeatureConfig
 from .extractor import vector_fields
 
@@ -132,7 +132,7 @@ class ErrorPredictor(nn.Module):
 
 def crop_spans(diameters: Sequence[float]) -> list[float]:
     """How many metres a crop is wide at an object that its region of interest fits, for each."""
-    return [SURROUNDINGS * ROI_SCALE * diameter for diameter in diameters]
+    return [CROP_SCALE * ROI_SCALE * diameter for diameter in diameters]
 
 
 def view_features(

@@ -24,14 +24,15 @@ WORST = -1e9
 
 def record_missing(config: TrainAgentConfig) -> None:
     """Records the banks of the configuration that do not exist."""
-    from ..envs.record_bank import RecordBankConfig, record_bank
+    from ..envs.record_bank import record_bank
+    from ..envs.record_config import RecordBankConfig
 
     if config.bank is not None and not config.bank.exists():
         record_bank(RecordBankConfig(out=config.bank, scenes=1000, seed=101, device=config.device))
     if config.more_scenes is not None and not config.more_scenes.exists():
         record_bank(
             RecordBankConfig(
-                out=config.more_scenes, scenes=2500, seed=303, answers=False, device=config.device
+                out=config.more_scenes, scenes=2500, seed=303, estimates=False, device=config.device
             )
         )
 
@@ -42,17 +43,17 @@ def split_bank(config: TrainAgentConfig) -> tuple[dict[str, Any], dict[str, Any]
     Raises:
         ValueError: if there is no such bank, or it has too few scenes.
     """
-    from ..envs.replay import shared_bank
+    from ..envs.replay import load_bank_cached
 
     assert config.bank is not None
-    scenes = len(shared_bank(str(config.bank)))
+    scenes = len(load_bank_cached(str(config.bank)))
     if scenes <= config.validation:
         raise ValueError(
             f"{config.bank} has {scenes} scenes: too few to keep {config.validation} for "
             "validation; record more, or pass a smaller --validation"
         )
     kept = scenes - config.validation
-    return {"scenes": (0, kept), "mirror": True}, {"scenes": (kept, scenes), "in_turn": True}
+    return {"scenes": (0, kept), "mirror": True}, {"scenes": (kept, scenes), "shuffle": False}
 
 
 class _Best(BaseCallback):

@@ -18,12 +18,12 @@ from ..pose_estimator.estimate import PoseEstimate
 from ..pose_estimator.geometry import crop_matrix, invert, rotation_to_6d
 
 KEYPOINTS = 9
-SURROUNDINGS = 2.5
-"""Side of the crop in sides of the detection: what stands around the object hides it elsewhere."""
+CROP_SCALE = 2.5
+"""Side of the crop in sides of the detection: it shows what may occlude the object elsewhere."""
 UNCERTAINTY_UNIT = 0.01
 """Keypoint uncertainty is log10 of its standard deviation over this many metres."""
 
-# Bounds beyond which a value is clipped: a hopeless estimate must not leave the space.
+# Out-of-range estimates are clipped to the space.
 _TRANSLATION_LOW = np.array([-1.0, -1.0, 0.0], dtype=np.float32)
 _TRANSLATION_HIGH = np.array([1.0, 1.0, 3.0], dtype=np.float32)
 _CAMERA_LOW = np.array([0.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0], dtype=np.float32)
@@ -150,7 +150,7 @@ def _crop(image: np.ndarray, estimate: PoseEstimate | None, size: int) -> np.nda
     if estimate is not None and estimate.rois:
         roi = estimate.rois[0]
         if np.isfinite(roi.centre).all() and np.isfinite(roi.side):
-            centre, side = roi.centre, float(np.clip(SURROUNDINGS * roi.side, 8.0, 2.0 * width))
+            centre, side = roi.centre, float(np.clip(CROP_SCALE * roi.side, 8.0, 2.0 * width))
     # warpAffine does not average when it shrinks: warp to a multiple of the size, then average.
     factor = max(1, int(np.ceil(side / size)))
     crop = cv2.warpAffine(

@@ -161,7 +161,7 @@ def test_imports_are_declared():
         }
 
     package = [path for folder in FOLDERS for path in (CHECKOUT / folder).rglob("*.py")]
-    extras = requirements("bench", "build", "ray", "train", "window")
+    extras = requirements("bench", "build", "train", "window")
     # An extra that named pyrender would bring PyOpenGL 3.1.0, with which MuJoCo cannot use EGL.
     assert undeclared(package, set(extras)) == {"pyrender"}
     tests = list((CHECKOUT / "tests").rglob("*.py"))
