@@ -10,7 +10,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from estimators import BatchedEstimator, ConstantEstimator, TableEstimator
+from two_view_pose.envs.randomization import Randomization
+from two_view_pose.envs.scene import SceneConfig
 from two_view_pose.envs.sequential import TwoViewPoseSequentialEnv
+from two_view_pose.envs.studio import SceneRequest, SceneSimulator
+from two_view_pose.envs.studio_workers import SimulatorWorkers
 from two_view_pose.envs.two_view_pose import TwoViewPoseDiscreteEnv, TwoViewPoseEnv
 from two_view_pose.envs.vector import TwoViewPoseVectorEnv
 
@@ -140,12 +144,23 @@ def test_a_worker_that_dies_is_named(make_vector):
         vector.reset(seed=0)
 
 
-def test_what_is_wrong_in_a_worker_is_raised_here(make_vector):
-    vector = make_vector(workers=1)
+def test_unknown_options_are_refused(make_vector):
+    vector = make_vector(workers=0)
     with pytest.raises(ValueError, match="unknown reset option"):
         vector.reset(options={"weather": "rain"})
-    with pytest.raises(ValueError, match="must be reset|rigid"):
-        vector.call("visibility_from", np.zeros((4, 4)))
+
+
+def test_errors_of_a_remote_simulator_are_raised_here(objects):
+    workers = SimulatorWorkers(1)
+    simulator = workers.add(objects, SceneConfig(), Randomization(), (36, 48))
+    with pytest.raises(ValueError, match="rigid"):
+        simulator.render(np.zeros((4, 4)), 0)
+    scene = simulator.reset(SceneRequest(3, "ball"))
+    assert scene.object_name == "ball" and scene.image.shape == (36, 48, 3)
+    local = SceneSimulator(objects, SceneConfig(), Randomization(), (36, 48))
+    np.testing.assert_array_equal(local.reset(SceneRequest(3, "ball")).image, scene.image)
+    local.close()
+    workers.close()
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def test_a_worker_that_is_killed_is_replaced(tmp_path: Path) -> None:
 
 
 def test_a_scene_whose_workers_always_die_ends_the_run() -> None:
-    with pytest.raises(ChildProcessError, match="3 workers died on scene [89]"):
+    with pytest.raises(ChildProcessError, match=r"3 workers died on scene [89]"):
         list(run_scenes(DyingTask, [8, 9], workers=2))
 
 
