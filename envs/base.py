@@ -72,10 +72,9 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode must be human, rgb_array or None, got {render_mode!r}")
-        if not IMAGE_SIZES[0] <= image_size <= IMAGE_SIZES[1]:
-            raise ValueError(
-                f"image_size must be {IMAGE_SIZES[0]} to {IMAGE_SIZES[1]} pixels, got {image_size}"
-            )
+        smallest, largest = IMAGE_SIZES
+        if not smallest <= image_size <= largest:
+            raise ValueError(f"image_size must be {smallest} to {largest} pixels, got {image_size}")
         if not (np.isfinite(travel_weight) and travel_weight >= 0):
             raise ValueError(f"travel_weight must be a number of at least 0, got {travel_weight}")
         self.render_mode = render_mode
@@ -122,8 +121,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
     @property
     def estimate(self) -> PoseEstimate | None:
         """The newest estimate, in the reference camera; None without an estimator."""
-        estimates = self._running().estimates
-        return estimates[-1] if estimates else None
+        return self._running().estimate
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -133,7 +131,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
     @property
     def T_cam_world(self) -> np.ndarray:
         """The reference camera, (4, 4)."""
-        return self._running().T_reference_world.copy()
+        return self._running().cameras[0].copy()
 
     @property
     def reference_position(self) -> SpherePosition:
@@ -173,9 +171,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         self._look(self.move(action))
         return self.step_output()
 
-    def sample_scene_request(
-        self, seed: int | None, options: dict[str, Any] | None
-    ) -> SceneRequest:
+    def sample_scene_request(self, seed: int | None, options: Any) -> SceneRequest:
         """The scene of the next episode; the first part of :meth:`reset`.
 
         Raises:
@@ -183,8 +179,8 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         """
         super().reset(seed=seed)
         chosen = ResetOptions.parse(options, self.object_names, self._scene_config.camera)
-        drawn_seed = int(self.np_random.integers(2**31))
-        scene_seed = drawn_seed if chosen.scene_seed is None else chosen.scene_seed
+        drawn = int(self.np_random.integers(2**31))
+        scene_seed = drawn if chosen.scene_seed is None else chosen.scene_seed
         return SceneRequest(scene_seed, chosen.object, chosen.reference_camera)
 
     def begin(self, request: SceneRequest, scene: SceneInfo) -> None:
@@ -199,7 +195,6 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
             T_world_obj=scene.T_world_obj,
             visibility=scene.visibility,
             noise_rng=episode_generators(request.seed)[1],
-            T_reference_world=scene.T_cam_world,
         )
         self._carrier.place(scene.T_cam_world)
         self.add_view(scene.T_cam_world, scene.image)
@@ -252,7 +247,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         return self._simulator.visibility_from(T_cam_world)
 
     def render(self) -> np.ndarray | None:
-        """The figure of the episode, RGB uint8 (664, 1360, 3); None if it is shown in a window.
+        """The :meth:`figure` of the episode; None if it is shown in a window.
 
         Raises:
             ResetNeeded: if there is no episode yet.
@@ -267,11 +262,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         return frame
 
     def figure(self) -> np.ndarray:
-        """Both views with the true and the estimated outlines, in any render mode.
-
-        Returns:
-            RGB uint8, (664, 1360, 3).
-        """
+        """Both views with the true and the estimated outlines: RGB uint8, (664, 1360, 3)."""
         return episode_figure(self._running(), self._running().model)
 
     def close(self) -> None:
@@ -297,7 +288,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         episode = self._running()
         return make_observation(
             self._fields,
-            episode.estimates[-1] if episode.estimates else None,
+            episode.estimate,
             episode.views[0].image,
             episode.position(-1),
             episode.position(0).azimuth,

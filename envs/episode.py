@@ -31,8 +31,7 @@ class Episode:
         T_world_obj: its true pose, (4, 4).
         visibility: visible fraction of the target in the reference view.
         noise_rng: draws the error of the camera poses that the estimator is given.
-        T_reference_world: the reference camera, (4, 4).
-        cameras: true T_cam_world of each view, (4, 4).
+        cameras: true T_cam_world of each view, the reference view first, (4, 4).
         views: what the estimator was given, the reference view first.
         estimates: the answer after each view; empty without an estimator.
         errors: ADD(-S) of each estimate, meters.
@@ -46,7 +45,6 @@ class Episode:
     T_world_obj: np.ndarray
     visibility: float
     noise_rng: np.random.Generator
-    T_reference_world: np.ndarray
     cameras: list[np.ndarray] = field(default_factory=list)
     views: list[View] = field(default_factory=list)
     estimates: list[PoseEstimate] = field(default_factory=list)
@@ -105,6 +103,11 @@ class Episode:
         return angle_at(self.sphere_centre, self.cameras[0], self.cameras[-1])
 
     @property
+    def estimate(self) -> PoseEstimate | None:
+        """The newest estimate; None without an estimator."""
+        return self.estimates[-1] if self.estimates else None
+
+    @property
     def diameter(self) -> float:
         """Of the target, meters."""
         return float(self.model.diameter)
@@ -116,7 +119,7 @@ class Episode:
 
     def info(self) -> dict[str, Any]:
         """The environment's info; everything that no agent may use is in ``ground_truth``."""
-        estimate = self.estimates[-1] if self.estimates else None
+        estimate = self.estimate
         return {
             "object": self.object_name,
             "diameter": self.diameter,

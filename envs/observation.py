@@ -1,6 +1,6 @@
-"""What the agent sees: the observation space and how an observation is made.
+"""The observation space, and how an observation is made.
 
-Everything comes from the estimate, the reference picture and the robot's own camera poses; ground
+Everything comes from the estimate, the reference image and the robot's own camera poses; ground
 truth has no way in.
 """
 
@@ -38,10 +38,10 @@ class SpherePosition:
     """A camera pose as seen from the middle of a view sphere.
 
     Attributes:
-        distance: from the middle to the camera's centre, metres.
+        distance: from the middle to the camera's center, meters.
         azimuth: about the world's z axis, radians, 0 along +x.
         elevation: above the horizontal through the middle, radians.
-        roll: of the picture about the optical axis, radians; 0 when its rows are horizontal.
+        roll: of the image about the optical axis, radians; 0 when its rows are horizontal.
     """
 
     distance: float
@@ -94,7 +94,7 @@ def make_observation(
 
     Args:
         space: from ``observation_space``.
-        estimate: the newest estimate; None leaves its fields zero and crops the picture's middle.
+        estimate: the newest estimate; None leaves its fields zero and crops the image's middle.
         reference_image: RGB uint8, (H, W, 3).
         camera: the newest camera pose, seen from the estimated object.
         reference_azimuth: azimuth of the reference camera, radians.
@@ -144,7 +144,7 @@ def _log_uncertainty(covariance: np.ndarray) -> np.ndarray:
 
 
 def _crop(image: np.ndarray, estimate: PoseEstimate | None, size: int) -> np.ndarray:
-    """The reference picture around the detection, (size, size, 3); grey outside the frame."""
+    """The reference image around the detection, (size, size, 3); gray outside the frame."""
     height, width = image.shape[:2]
     centre, side = np.array([(width - 1) / 2, (height - 1) / 2]), float(min(height, width))
     if estimate is not None and estimate.rois:

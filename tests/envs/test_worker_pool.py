@@ -12,10 +12,10 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from scene_tasks import DyingTask, ProcessTask
 from small_sets import apes, file_bytes
 from two_view_pose.envs.generate import GenerateConfig, generate
 from two_view_pose.envs.worker_pool import memory_in_use, run_scenes
-from workers import DyingTask, ProcessTask
 
 
 @pytest.mark.parametrize(("limit", "replaced"), [(1e-3, True), (0.0, False), (1e3, False)])

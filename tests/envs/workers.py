@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
-import signal
-from pathlib import Path
 
 import numpy as np
 from two_view_pose import assets
@@ -25,30 +22,6 @@ def render_duck(queue: multiprocessing.Queue) -> None:
     with SceneRenderer(scene, 48, 64) as renderer:
         state = scene.reset(np.random.default_rng(0), "duck")
         queue.put(renderer.render(state.T_cam_world).rgb)
-
-
-class DyingTask:
-    """Ends the process as a lack of memory would."""
-
-    def make(self, scene_id: int) -> None:
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    def close(self) -> None:
-        pass
-
-
-class ProcessTask:
-    """Writes for each scene which process made it, and with how many threads it computes."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def make(self, scene_id: int) -> None:
-        threads = os.environ.get("OMP_NUM_THREADS", "all")
-        (self._folder / str(scene_id)).write_text(f"{os.getpid()} {threads}")
-
-    def close(self) -> None:
-        pass
 
 
 def memory_of_episodes(objects: dict[str, ObjectModel], episodes: int, every: int) -> list[int]:
