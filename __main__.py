@@ -38,12 +38,12 @@ VERBS = {
         "one scene, two views, the pose before and after; writes a picture",
     ),
     "generate": Verb(
-        "envs.generate:GenerateConfig",
+        "envs.generate_config:GenerateConfig",
         "envs.generate:generate",
         "renders paired training or test data and writes it in BOP format",
     ),
     "record-bank": Verb(
-        "envs.record_bank:RecordBankConfig",
+        "envs.record_config:RecordBankConfig",
         "envs.record_bank:record_bank",
         "records every second view of many scenes, to train and test on",
     ),

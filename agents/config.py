@@ -28,7 +28,7 @@ class TrainAgentConfig:
     """For ppo, sac and dqn over a bank: an agent of `--algo greedy` whose network predicts the
     candidates' errors for the learner (its extractor must be CandidateExtractor)."""
     visibility_bank: Path | None = None
-    """For greedy: a bank recorded with --no-answers, of which it learns what hides an object."""
+    """For greedy: a bank recorded with --no-estimates, of which it learns what hides an object."""
     record: bool = False
     """Record the banks that do not exist yet, as the shipped agents' were: 1000 occlusion scenes
     with answers and 2500 without, from seeds 101 and 303. Three quarters of an hour."""

@@ -12,10 +12,10 @@ from .view_sphere import Action, view_actions
 
 
 class OraclePolicy(ViewSpherePolicy):
-    """Takes the candidate of the highest reward, which it learns from ``peek_all``.
+    """Takes the candidate of the highest reward, which it learns from ``simulate_actions``.
 
     Args:
-        env: an environment that has ``peek_all``.
+        env: an environment that has ``simulate_actions``.
 
     Raises:
         ValueError: if it cannot.
@@ -23,11 +23,12 @@ class OraclePolicy(ViewSpherePolicy):
 
     def __init__(self, env: gym.Env) -> None:
         super().__init__(env)
-        if not hasattr(self._env, "peek_all"):
-            raise ValueError(f"oracle needs an environment with peek_all(), got {self._env}")
+        if not hasattr(self._env, "simulate_actions"):
+            raise ValueError(f"oracle needs an env with simulate_actions(), got {self._env}")
 
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
         """The best candidate by the true error; in a Box those of ``TwoViewPoseDiscrete-v0``."""
         actions = view_actions(self._env)
-        errors = [info["ground_truth"]["add_second"] for *_, info in self._env.peek_all(actions)]
+        outputs = self._env.simulate_actions(actions)
+        errors = [info["ground_truth"]["add_second"] for *_, info in outputs]
         return actions[int(np.argmin(errors))]

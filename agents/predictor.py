@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ..envs.carrier import directions_from
-from ..envs.observation import SURROUNDINGS
+from ..envs.observation import CROP_SCALE
 from ..pose_estimator.features import FeatureConfig
 
 VIEW_FEATURES = 8
@@ -138,7 +138,7 @@ def vector_fields(observation_space: spaces.Dict) -> tuple[tuple[str, ...], int]
 
 def crop_widths(diameters: Sequence[float]) -> list[float]:
     """Widths in metres, at the object, of crops around regions of interest that fit."""
-    return [SURROUNDINGS * ROI_SCALE * diameter for diameter in diameters]
+    return [CROP_SCALE * ROI_SCALE * diameter for diameter in diameters]
 
 
 def view_features(

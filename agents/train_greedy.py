@@ -39,7 +39,7 @@ def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
     bank: ViewBank = env.unwrapped.bank  # type: ignore[attr-defined]
     began = time.perf_counter()
     agent = train_agent_networks(
-        bank.part(slice(*learning["scenes"])),
+        bank.subset(slice(*learning["scenes"])),
         channels_first(env),
         hyperparameters,
         config.seed,
@@ -53,7 +53,7 @@ def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
     weights = {f"policy/{key}": value for key, value in agent.state_dict().items()}
     path = config.out / POLICY
     write_agent(path, header, weights, half=True)
-    kept = bank.part(slice(*validating["scenes"]))
+    kept = bank.subset(slice(*validating["scenes"]))
     errors = kept.second_error[np.arange(len(kept)), chosen_slots(agent, kept)]
     recall, capped = float(np.mean(errors < 0.1)), float(np.minimum(errors, 1.0).mean())
     print(f"Saved {path} after {seconds:.0f} s.")

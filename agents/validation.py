@@ -25,16 +25,17 @@ WORST = -1e9
 
 def record_missing(config: TrainAgentConfig) -> None:
     """Records the banks of the configuration that do not exist."""
-    from ..envs.record_bank import RecordBankConfig, record_bank
+    from ..envs.record_bank import record_bank
+    from ..envs.record_config import RecordBankConfig
 
-    for path, scenes, seed, answers in (
+    for path, scenes, seed, estimates in (
         (config.bank, 1000, 101, True),
         (config.visibility_bank, 2500, 303, False),
     ):
         if path is not None and not path.exists():
             record_bank(
                 RecordBankConfig(
-                    out=path, scenes=scenes, seed=seed, answers=answers, device=config.device
+                    out=path, scenes=scenes, seed=seed, estimates=estimates, device=config.device
                 )
             )
 
@@ -45,17 +46,17 @@ def split_bank(config: TrainAgentConfig) -> tuple[dict[str, Any], dict[str, Any]
     Raises:
         ValueError: if there is no such bank, or it has too few scenes.
     """
-    from ..envs.replay import shared_bank
+    from ..envs.replay import load_bank_cached
 
     assert config.bank is not None
-    scenes = len(shared_bank(str(config.bank)))
+    scenes = len(load_bank_cached(str(config.bank)))
     if scenes <= config.validation:
         raise ValueError(
             f"{config.bank} has {scenes} scenes: too few to keep {config.validation} for "
             "validation; record more, or pass a smaller --validation"
         )
     kept = scenes - config.validation
-    return {"scenes": (0, kept), "mirror": True}, {"scenes": (kept, scenes), "in_turn": True}
+    return {"scenes": (0, kept), "mirror": True}, {"scenes": (kept, scenes), "shuffle": False}
 
 
 class _Validation(EvalCallback):

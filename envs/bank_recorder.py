@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 
-from ..pose_estimator.estimate import PoseEstimate
+from ..pose_estimator.bop_objects import load_objects
 from .carrier import camera_centre
 from .episode import episode_seed
 from .observation import Observation
-from .record_bank import part_path, write_part
+from .record_config import RecordBankConfig
 from .two_view_pose import CANDIDATE_VIEWS, TwoViewPoseDiscreteEnv
-from .view_bank import FIRST_FIELDS, SECOND_FIELDS
-
-if TYPE_CHECKING:
-    from .record_bank import RecordBankConfig
+from .view_bank import BankHeader, scene_arrays, write_arrays
 
 
 class BankRecorder:
-    """Plays every action of every scene in a live environment.
+    """Takes every action of every scene in a live environment.
 
     Args:
         config: what the bank is.
@@ -32,11 +27,14 @@ class BankRecorder:
     def make(self, scene_id: int) -> None:
         """Records scene ``scene_id`` and writes its file."""
         env = self._env
-        observation, info = env.reset(seed=episode_seed(self._config.seed, scene_id))
-        estimate = env.estimate
-        assert estimate is not None
-        outcomes = self._outcomes(observation)
-        arrays = one_scene(observation, estimate, [outcome[:4] for outcome in outcomes])
+        first, info = env.reset(seed=episode_seed(self._config.seed, scene_id))
+        assert env.estimate is not None
+        if self._config.estimates:
+            seconds, errors = self._step_to_each()
+        else:
+            seconds = self._move_to_each(first)
+            errors = [np.nan] * len(seconds)
+        arrays = scene_arrays(first, env.estimate, seconds)
         diameter, truth = info["diameter"], info["ground_truth"]
         cameras = arrays["second_T_cam_world"][0]
         arrays |= {
@@ -47,60 +45,51 @@ class BankRecorder:
             "T_cam_world": env.T_cam_world[None],
             "centre": env.sphere_centre[None],
             "first_error": np.array([truth["add_first"] / diameter], np.float32),
-            "second_error": np.array([[outcome[4] for outcome in outcomes]], np.float32),
+            "second_error": np.array([errors], np.float32),
             "second_visibility": np.array([[env.visibility_from(T) for T in cameras]], np.float32),
         }
-        write_part(part_path(self._config, scene_id), arrays)
+        write_arrays(self._config.part_path(scene_id), arrays)
 
-    def _outcomes(
+    def close(self) -> None:
+        """Closes the environment."""
+        self._env.close()
+
+    def _step_to_each(
+        self,
+    ) -> tuple[list[tuple[Observation, np.ndarray, np.ndarray, float]], list[float]]:
+        """Of each second view what ``scene_arrays`` takes, and its ADD(-S) over the diameter."""
+        outputs = self._env.simulate_actions(range(len(CANDIDATE_VIEWS)))
+        infos = [info for *_, info in outputs]
+        seconds = [
+            (observation, info["T_cam_world"], info["T_cam_obj"], info["travel"])
+            for observation, *_, info in outputs
+        ]
+        return seconds, [i["ground_truth"]["add_second"] / i["diameter"] for i in infos]
+
+    def _move_to_each(
         self, first: Observation
-    ) -> list[tuple[Observation, np.ndarray, np.ndarray, float, float]]:
-        """Of each second view: observation, camera, estimate, travel, ADD(-S) over the diameter."""
-        env, actions = self._env, range(len(CANDIDATE_VIEWS))
-        if self._config.answers:
-            return [
-                (
-                    observation,
-                    info["T_cam_world"],
-                    info["T_cam_obj"],
-                    info["travel"],
-                    info["ground_truth"]["add_second"] / info["diameter"],
-                )
-                for observation, _, _, _, info in env.peek_all(actions)
-            ]
+    ) -> list[tuple[Observation, np.ndarray, np.ndarray, float]]:
+        """As :meth:`_step_to_each`, with the first observation and estimate for every view."""
+        env = self._env
         assert env.estimate is not None
-        T_cam_obj, outcomes = env.estimate.T_cam_obj, []
-        for action in actions:
-            T_cam_world = env.camera_pose(action)
-            travel = camera_centre(T_cam_world) - camera_centre(env.T_cam_world)
-            distance = float(np.linalg.norm(travel))
-            outcomes.append((first, T_cam_world, T_cam_obj, distance, float("nan")))
-        return outcomes
+        cameras = [env.camera_pose(action) for action in range(len(CANDIDATE_VIEWS))]
+        start = camera_centre(env.T_cam_world)
+        return [
+            (first, T, env.estimate.T_cam_obj, float(np.linalg.norm(camera_centre(T) - start)))
+            for T in cameras
+        ]
 
 
-def one_scene(
-    first: Observation,
-    estimate: PoseEstimate,
-    seconds: list[tuple[Observation, np.ndarray, np.ndarray, float]],
-) -> dict[str, np.ndarray]:
-    """The arrays of one scene that follow from what the robot knows.
-
-    Args:
-        first: observation after the reference view.
-        estimate: from the reference view.
-        seconds: for each slot the observation, camera (4, 4), estimate (4, 4) and travel (m).
-
-    Returns:
-        Arrays as in :class:`~.view_bank.ViewBank`, for one scene.
-    """
-    arrays: dict[str, Any] = {f"first/{key}": first[key][None] for key in FIRST_FIELDS}
-    for key in SECOND_FIELDS:
-        arrays[f"second/{key}"] = np.stack([o[key] for o, *_ in seconds])[None]
-    return arrays | {
-        "T_cam_obj": estimate.T_cam_obj[None],
-        "keypoints": estimate.keypoints[None].astype(np.float32),
-        "covariance": estimate.keypoint_covariance[None].astype(np.float32),
-        "second_T_cam_world": np.stack([T for _, T, _, _ in seconds])[None],
-        "second_T_cam_obj": np.stack([T for _, _, T, _ in seconds])[None],
-        "travel": np.array([[travel for *_, travel in seconds]], np.float32),
-    }
+def make_header(config: RecordBankConfig) -> BankHeader:
+    """What a bank of simulated scenes says about itself."""
+    objects = load_objects(list(config.objects) or None)
+    return BankHeader(
+        source="simulation",
+        scene=config.scene,
+        object_names=tuple(objects),
+        diameters=tuple(float(model.diameter) for model in objects.values()),
+        candidate_views=CANDIDATE_VIEWS,
+        estimator=config.estimator,
+        seed=config.seed,
+        settings={} if config.pose_noise is None else {"pose_noise": config.pose_noise},
+    )

@@ -1,4 +1,4 @@
-"""One episode of choosing a second view: scene, pictures, estimates, reward.
+"""One episode of choosing a second view: scene, images, estimates, reward.
 
 The environments in ``two_view_pose.py`` differ from this only in what an action means.
 """
@@ -18,28 +18,24 @@ from gymnasium.error import ResetNeeded
 from ..assets.object_model import ObjectModel
 from ..pose_estimator.bop_objects import load_objects
 from ..pose_estimator.estimate import PoseEstimate
-from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, View, check_rigid
-from ..pose_estimator.metrics import add_or_add_s
-from . import freed_memory
+from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, View
 from .carrier import Carrier, FreeFlyingCarrier, PoseNoise
 from .episode import Episode
 from .episode_figure import episode_figure
+from .freed_memory import release_unused_memory
+from .intrinsics import scaled_intrinsics
 from .observation import Observation, SpherePosition, make_observation, observation_space
 from .options import ResetOptions
 from .protocol import PoseEstimator, check_known_objects, resolve_estimator
 from .randomization import Randomization
 from .scene import SceneConfig
-from .studio import (
-    LocalStudio,
-    SceneOrder,
-    Setup,
-    Studio,
-    StudioConfig,
-    episode_generators,
-)
+from .studio import SceneInfo, SceneRequest, SceneSimulator, episode_generators
 from .window import Window
 
 IMAGE_SIZES = (36, 256)
+
+MEMORY_RELEASE_INTERVAL = 100
+"""Episodes after which an environment gives free memory back to the operating system."""
 
 
 class ViewSelectionEnv(gym.Env[Observation, Any]):
@@ -47,6 +43,10 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
 
     A variant says what its actions are (``make_action_space``) and where they send the camera
     (``camera_pose``).
+
+    Attributes:
+        object_names: the objects, in the order of the observation's one-hot.
+        travel_weight: cost of a meter of camera travel.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (declared so by Gymnasium)
@@ -68,36 +68,31 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         resolution: tuple[int, int] = LINEMOD_IMAGE_SIZE,
         carrier: Carrier | None = None,
         render_mode: str | None = None,
-        studio: Callable[[StudioConfig], Studio] = LocalStudio,
+        simulator: Callable[..., SceneSimulator] = SceneSimulator,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode must be human, rgb_array or None, got {render_mode!r}")
-        if not IMAGE_SIZES[0] <= image_size <= IMAGE_SIZES[1]:
-            raise ValueError(
-                f"image_size must be {IMAGE_SIZES[0]} to {IMAGE_SIZES[1]} pixels, got {image_size}"
-            )
+        smallest, largest = IMAGE_SIZES
+        if not smallest <= image_size <= largest:
+            raise ValueError(f"image_size must be {smallest} to {largest} pixels, got {image_size}")
         if not (np.isfinite(travel_weight) and travel_weight >= 0):
             raise ValueError(f"travel_weight must be a number of at least 0, got {travel_weight}")
         self.render_mode = render_mode
-        self._travel_weight = float(travel_weight)
+        self.travel_weight = float(travel_weight)
         self._pose_noise = PoseNoise.of(pose_noise)
         self._carrier = FreeFlyingCarrier() if carrier is None else carrier
         self._objects = dict(objects) if isinstance(objects, Mapping) else load_objects(objects)
-        self._names = tuple(self._objects)
+        self.object_names = tuple(self._objects)
         self._estimator = resolve_estimator(estimator, device)
-        check_known_objects(self._estimator, self._names)
-        self._studio_config = StudioConfig(
-            self._objects,
-            SceneConfig(kind=scene) if isinstance(scene, str) else scene,
-            Randomization() if randomization is None else randomization,
-            resolution,
-        )
-        self._K = self._studio_config.intrinsics
-        self._studio = studio(self._studio_config)
+        check_known_objects(self._estimator, self.object_names)
+        self._scene_config = SceneConfig(kind=scene) if isinstance(scene, str) else scene
+        randomization = Randomization() if randomization is None else randomization
+        self._K = scaled_intrinsics(resolution, "crop")
+        self._simulator = simulator(self._objects, self._scene_config, randomization, resolution)
         self._window = Window("Two-View Pose")
         self._episode: Episode | None = None
         self._episodes = 0
-        self._fields = observation_space(len(self._names), image_size)
+        self._fields = observation_space(len(self.object_names), image_size)
         self.observation_space: spaces.Space[Any] = self._fields
         self.action_space: spaces.Space[Any] = self.make_action_space()
 
@@ -114,11 +109,6 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         """
 
     @property
-    def object_names(self) -> tuple[str, ...]:
-        """The objects, in the order of the observation's one-hot."""
-        return self._names
-
-    @property
     def views(self) -> tuple[View, ...]:
         """What the estimator has been given in this episode, the reference view first."""
         return tuple(self._running().views)
@@ -131,23 +121,17 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
     @property
     def estimate(self) -> PoseEstimate | None:
         """The newest estimate, in the reference camera; None without an estimator."""
-        estimates = self._running().estimates
-        return estimates[-1] if estimates else None
-
-    @property
-    def travel_weight(self) -> float:
-        """Price of a metre of camera travel."""
-        return self._travel_weight
+        return self._running().estimate
 
     @property
     def intrinsics(self) -> np.ndarray:
-        """The camera matrix of the pictures, (3, 3)."""
+        """The camera matrix of the images, (3, 3)."""
         return self._K.copy()
 
     @property
     def T_cam_world(self) -> np.ndarray:
         """The reference camera, (4, 4)."""
-        return self._running().T_reference_world.copy()
+        return self._running().cameras[0].copy()
 
     @property
     def reference_position(self) -> SpherePosition:
@@ -156,11 +140,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
 
     @property
     def sphere_centre(self) -> np.ndarray:
-        """The middle of the view sphere, (3,), world: where the object is estimated to be.
-
-        It is kept within the part of the table where objects stand. Without an estimator it is
-        where the reference camera's optical axis meets the table.
-        """
+        """The middle of the view sphere, (3,), world; see :attr:`.Episode.sphere_centre`."""
         return self._running().sphere_centre
 
     def reset(
@@ -169,17 +149,17 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         """Draws a scene, takes the reference view and estimates the first pose from it.
 
         Args:
-            seed: starts the environment's random numbers anew.
+            seed: of the environment's random numbers; None goes on with them.
             options: ``object``, ``scene_seed`` and ``reference_camera``, each optional (see the
                 class).
 
         Raises:
             ValueError: if an option is unknown or not allowed.
         """
-        order = self.draw_order(seed, options)
-        self.begin(order, self._studio.arrange(order))
-        self._look(self.T_cam_world)
-        return self.opening()
+        request = self.sample_scene_request(seed, options)
+        self.begin(request, self._simulator.reset(request))
+        self._estimate()
+        return self.reset_output()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Takes the second view and estimates the pose from both; the episode ends.
@@ -189,35 +169,35 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
             ResetNeeded: if the episode has ended.
         """
         self._look(self.move(action))
-        return self.outcome()
+        return self.step_output()
 
-    def draw_order(self, seed: int | None, options: dict[str, Any] | None) -> SceneOrder:
+    def sample_scene_request(self, seed: int | None, options: Any) -> SceneRequest:
         """The scene of the next episode; the first part of :meth:`reset`.
 
         Raises:
             ValueError: if an option is unknown or not allowed.
         """
         super().reset(seed=seed)
-        allowed = self._studio_config.scene.camera
-        chosen = ResetOptions.parse(options, self._names, allowed)
-        drawn_seed = int(self.np_random.integers(2**31))
-        scene_seed = drawn_seed if chosen.scene_seed is None else chosen.scene_seed
-        return SceneOrder(scene_seed, chosen.object, chosen.reference_camera)
+        chosen = ResetOptions.parse(options, self.object_names, self._scene_config.camera)
+        drawn = int(self.np_random.integers(2**31))
+        scene_seed = drawn if chosen.scene_seed is None else chosen.scene_seed
+        return SceneRequest(scene_seed, chosen.object, chosen.reference_camera)
 
-    def begin(self, order: SceneOrder, setup: Setup) -> None:
-        """Starts an episode in a scene that was set up; it has no view yet."""
+    def begin(self, request: SceneRequest, scene: SceneInfo) -> None:
+        """Starts an episode in a scene that was set up, with its reference view."""
         self._episodes += 1
-        if self._episodes % freed_memory.EPISODES == 0:
-            freed_memory.give_back()
+        if self._episodes % MEMORY_RELEASE_INTERVAL == 0:
+            release_unused_memory()
         self._episode = Episode(
-            scene_seed=order.seed,
-            object_name=setup.object_name,
-            T_world_obj=setup.T_world_obj,
-            visibility=setup.visibility,
-            noise_rng=episode_generators(order.seed)[1],
-            T_reference_world=setup.T_cam_world,
+            scene_seed=request.seed,
+            object_name=scene.object_name,
+            model=self._objects[scene.object_name],
+            T_world_obj=scene.T_world_obj,
+            visibility=scene.visibility,
+            noise_rng=episode_generators(request.seed)[1],
         )
-        self._carrier.place(setup.T_cam_world)
+        self._carrier.place(scene.T_cam_world)
+        self.add_view(scene.T_cam_world, scene.image)
 
     def move(self, action: Any) -> np.ndarray:
         """Moves the camera as an action says: T_cam_world (4, 4); the first part of :meth:`step`.
@@ -233,44 +213,41 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         episode.travel += motion.travel
         return motion.T_cam_world
 
-    def see(self, T_cam_world: np.ndarray, picture: np.ndarray) -> None:
-        """Takes a picture (H, W, 3) from a camera (4, 4) into the episode."""
+    def add_view(self, T_cam_world: np.ndarray, image: np.ndarray) -> None:
+        """Adds an image (H, W, 3) from a camera (4, 4) to the episode."""
         episode = self._running()
-        told = T_cam_world  # the noise is in the relative pose, so the first view has none
+        noisy = T_cam_world  # the noise is in the relative pose, so the first view has none
         if episode.views:
-            told = self._pose_noise.perturb(T_cam_world, episode.noise_rng)
+            noisy = self._pose_noise.perturb(T_cam_world, episode.noise_rng)
         episode.cameras.append(T_cam_world)
-        episode.views.append(View(picture, self._K, told))
+        episode.views.append(View(image, self._K, noisy))
 
-    def learn(self, estimate: PoseEstimate) -> None:
-        """Takes what was estimated from all views so far into the episode."""
-        episode = self._running()
-        check_rigid(estimate.T_cam_obj, "the estimator's T_cam_obj")
-        model = self._objects[episode.object_name]
-        error = add_or_add_s(estimate.T_cam_obj, episode.T_cam_obj_true(0), model)
-        episode.estimates.append(estimate)
-        episode.errors.append(error)
+    def add_estimate(self, estimate: PoseEstimate) -> None:
+        """Adds what was estimated from all views so far to the episode."""
+        self._running().add_estimate(estimate)
 
-    def opening(self) -> tuple[Observation, dict[str, Any]]:
+    def reset_output(self) -> tuple[Observation, dict[str, Any]]:
         """What :meth:`reset` returns, once the reference view is there."""
         if self.render_mode == "human":
             self.render()
         return self._observation(), self._info()
 
-    def outcome(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step_output(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """What :meth:`step` returns, once the second view is there; the episode ends."""
-        self._running().ended = True
+        episode = self._running()
+        episode.ended = True
         if self.render_mode == "human":
             self.render()
-        return self._observation(), self._reward(), True, False, self._info()
+        reward = -episode.error_ratio - self.travel_weight * episode.travel
+        return self._observation(), float(reward), True, False, self._info()
 
     def visibility_from(self, T_cam_world: np.ndarray) -> float:
         """Visible fraction of the target from a camera (4, 4): ground truth, for recording."""
         self._running()
-        return self._studio.visibility_from(T_cam_world)
+        return self._simulator.visibility_from(T_cam_world)
 
     def render(self) -> np.ndarray | None:
-        """The picture of the episode, RGB uint8 (664, 1360, 3); None if it is shown in a window.
+        """The :meth:`figure` of the episode; None if it is shown in a window.
 
         Raises:
             ResetNeeded: if there is no episode yet.
@@ -285,17 +262,12 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         return frame
 
     def figure(self) -> np.ndarray:
-        """Both views with the true and the estimated outlines, in any render mode.
-
-        Returns:
-            RGB uint8, (664, 1360, 3).
-        """
-        episode = self._running()
-        return episode_figure(episode, self._objects[episode.object_name])
+        """Both views with the true and the estimated outlines: RGB uint8, (664, 1360, 3)."""
+        return episode_figure(self._running(), self._running().model)
 
     def close(self) -> None:
         """Frees the GL context and the window; may be called again."""
-        self._studio.close()
+        self._simulator.close()
         self._window.close()
 
     def _running(self) -> Episode:
@@ -304,29 +276,24 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         return self._episode
 
     def _look(self, T_cam_world: np.ndarray) -> None:
-        """Takes a picture from ``T_cam_world`` and estimates the pose from all views so far."""
-        episode = self._running()
-        self.see(T_cam_world, self._studio.shoot(T_cam_world, len(episode.views)))
-        if self._estimator is not None:
-            self.learn(self._estimator.estimate(tuple(episode.views), episode.object_name))
+        """Renders the view from ``T_cam_world`` and estimates the pose from all views so far."""
+        self.add_view(T_cam_world, self._simulator.render(T_cam_world, len(self.views)))
+        self._estimate()
 
-    def _reward(self) -> float:
-        return self._running().reward(self._diameter(), self._travel_weight)
+    def _estimate(self) -> None:
+        if self._estimator is not None:
+            self.add_estimate(self._estimator.estimate(self.views, self.object_name))
 
     def _observation(self) -> Observation:
         episode = self._running()
         return make_observation(
             self._fields,
-            episode.estimates[-1] if episode.estimates else None,
+            episode.estimate,
             episode.views[0].image,
             episode.position(-1),
             episode.position(0).azimuth,
-            self._names.index(episode.object_name),
+            self.object_names.index(episode.object_name),
         )
 
     def _info(self) -> dict[str, Any]:
-        return self._running().info(self._diameter())
-
-    def _diameter(self) -> float:
-        """Of the target, metres."""
-        return float(self._objects[self._running().object_name].diameter)
+        return self._running().info()

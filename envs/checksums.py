@@ -3,7 +3,7 @@
 Lists are called ``SHA256SUMS`` and have the form that ``sha256sum -c`` reads. Each scene has one,
 written when the scene is finished; the dataset has one, written when the run is finished, of all
 files outside of the scenes and of the scenes' lists. So the one on top vouches for everything, and
-no list grows with the number of pictures.
+no list grows with the number of images.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def write_sums(folder: Path, files: Iterable[str] | None = None) -> None:
     """
     names = _files(folder) if files is None else files
     names = [n for n in names if n != SUMS_FILE and not Path(n).name.startswith(".")]
-    text = "".join(f"{digest(folder / name)}  {name}\n" for name in sorted(names))
+    text = "".join(f"{_digest(folder / name)}  {name}\n" for name in sorted(names))
     write_atomically(folder / SUMS_FILE, text.encode())
 
 
@@ -42,7 +42,7 @@ def write_dataset_sums(root: Path, split: str, files: Iterable[str]) -> None:
     Args:
         root: the dataset's folder.
         split: the split's name; its scenes have lists.
-        files: files and folders beside the split that belong to the dataset; those that are not
+        files: files and folders next to the split that belong to the dataset; those that are not
             there are left out.
     """
     names = [str(path.relative_to(root)) for path in (root / split).glob(f"*/{SUMS_FILE}")]
@@ -54,17 +54,11 @@ def write_dataset_sums(root: Path, split: str, files: Iterable[str]) -> None:
     write_sums(root, names)
 
 
-def digest(path: Path) -> str:
-    """SHA-256 of a file, 64 hexadecimal digits."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
 def read_sums(folder: Path) -> dict[str, str]:
     """The list of a folder: name -> SHA-256.
 
     Raises:
-        ValueError: if a line is none of such a list.
+        ValueError: if a line is not one of such a list.
     """
     sums = {}
     for number, line in enumerate((folder / SUMS_FILE).read_text().splitlines(), 1):
@@ -75,16 +69,12 @@ def read_sums(folder: Path) -> dict[str, str]:
     return sums
 
 
-def find_problems(root: Path, progress: bool = True) -> Iterator[str]:
+def find_problems(root: Path) -> Iterator[str]:
     """Checks every file of a dataset.
-
-    Args:
-        root: its folder.
-        progress: whether to show a bar.
 
     Yields:
         A line for each file that is missing, changed or extra, such as
-        ``changed train_pbr/000003/rgb/000001.jpg``.
+        ``changed train_pbr/000003/rgb/000001.jpg``. Of a scene without its list, the list.
 
     Raises:
         ValueError: if there is no such folder, or a list cannot be read.
@@ -94,18 +84,20 @@ def find_problems(root: Path, progress: bool = True) -> Iterator[str]:
     if not (root / SUMS_FILE).is_file():
         yield f"missing {SUMS_FILE}: the run is not finished; the same command finishes it"
         return
-    top = read_sums(root)
-    scenes = [str(Path(name).parent) for name in top if Path(name).name == SUMS_FILE]
-    outside = set(_files(root, *(root / scene for scene in scenes)))
-    lists = {name for name in top if Path(name).name == SUMS_FILE and (root / name).is_file()}
-    absent = {scene for scene in scenes if not (root / scene).is_dir()}
-    yield from (f"missing {scene}, a whole scene" for scene in sorted(absent))
-    listed = {n: s for n, s in top.items() if str(Path(n).parent) not in absent}
-    yield from _compare(root, "", listed, outside | lists)
-    for scene in tqdm(scenes, unit="scene", disable=not progress):
-        if (root / scene / SUMS_FILE).is_file():
-            folder = root / scene
-            yield from _compare(folder, f"{scene}/", read_sums(folder), set(_files(folder)))
+    listed = read_sums(root)
+    scenes = [Path(name).parent for name in listed if Path(name).name == SUMS_FILE]
+    lost = {scene for scene in scenes if not (root / scene / SUMS_FILE).is_file()}
+    for scene in set(scenes) - lost:
+        sums = read_sums(root / scene)
+        listed |= {(scene / name).as_posix(): digest for name, digest in sums.items()}
+    found = {name for name in _files(root) if lost.isdisjoint(Path(name).parents)} - {SUMS_FILE}
+    for name in tqdm(sorted(listed.keys() | found), unit="file"):
+        if name not in found:
+            yield f"missing {name}"
+        elif name not in listed:
+            yield f"extra {name}"
+        elif _digest(root / name) != listed[name]:
+            yield f"changed {name}"
 
 
 def verify(root: Path) -> int:
@@ -114,23 +106,17 @@ def verify(root: Path) -> int:
     for problem in find_problems(root):
         tqdm.write(problem)
         count += 1
-    print(f"{root}: " + (f"{count} problems" if count else "every file is as it was written"))
+    print(f"{root}: " + (f"{count} problems" if count else "all checksums match"))
     return count
 
 
-def _compare(folder: Path, prefix: str, listed: dict[str, str], found: set[str]) -> Iterator[str]:
-    """What differs between a list and the files that there are."""
-    for name in sorted(listed.keys() | found - {SUMS_FILE}):
-        if name not in found:
-            yield f"missing {prefix}{name}"
-        elif name not in listed:
-            yield f"extra {prefix}{name}"
-        elif digest(folder / name) != listed[name]:
-            yield f"changed {prefix}{name}"
+def _digest(path: Path) -> str:
+    """SHA-256 of a file, 64 hexadecimal digits."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _files(folder: Path, *skip: Path) -> Iterator[str]:
-    """Names of all files below a folder, but for those of some folders within it."""
-    for path, folders, files in os.walk(folder):
-        folders[:] = [name for name in folders if Path(path, name) not in skip]
+def _files(folder: Path) -> Iterator[str]:
+    """Names of all files below a folder."""
+    for path, _, files in os.walk(folder):
         yield from (Path(path, name).relative_to(folder).as_posix() for name in files)

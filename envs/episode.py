@@ -1,15 +1,18 @@
-"""What is remembered of one episode."""
+"""The record of one episode: its target, views, estimates and errors."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from ..assets.object_model import ObjectModel
 from ..pose_estimator.estimate import PoseEstimate
-from ..pose_estimator.geometry import View, invert
+from ..pose_estimator.geometry import View, check_rigid, invert
+from ..pose_estimator.metrics import add_or_add_s
 from .carrier import angle_at
 from .observation import SpherePosition
 
@@ -24,24 +27,24 @@ class Episode:
     Attributes:
         scene_seed: everything drawn in the episode follows from it.
         object_name: the target.
+        model: of the target.
         T_world_obj: its true pose, (4, 4).
         visibility: visible fraction of the target in the reference view.
-        noise_rng: draws the error of the camera poses that the estimator is told.
-        T_reference_world: the reference camera, (4, 4).
-        cameras: true T_cam_world of each view, (4, 4).
+        noise_rng: draws the error of the camera poses that the estimator is given.
+        cameras: true T_cam_world of each view, the reference view first, (4, 4).
         views: what the estimator was given, the reference view first.
         estimates: the answer after each view; empty without an estimator.
-        errors: ADD(-S) of each estimate, metres.
-        travel: how far the camera has moved since the reference view, metres.
+        errors: ADD(-S) of each estimate, meters.
+        travel: how far the camera has moved since the reference view, meters.
         ended: whether the last view has been taken.
     """
 
     scene_seed: int
     object_name: str
+    model: ObjectModel
     T_world_obj: np.ndarray
     visibility: float
     noise_rng: np.random.Generator
-    T_reference_world: np.ndarray
     cameras: list[np.ndarray] = field(default_factory=list)
     views: list[View] = field(default_factory=list)
     estimates: list[PoseEstimate] = field(default_factory=list)
@@ -50,7 +53,7 @@ class Episode:
     ended: bool = False
 
     def copy(self) -> Episode:
-        """The same episode, which may go on another way; pictures and estimates are shared."""
+        """The same episode, which may continue differently; images and estimates are shared."""
         return replace(
             self,
             noise_rng=deepcopy(self.noise_rng),
@@ -59,6 +62,17 @@ class Episode:
             estimates=list(self.estimates),
             errors=list(self.errors),
         )
+
+    def add_estimate(self, estimate: PoseEstimate) -> None:
+        """Adds what was estimated from all views so far, and its error.
+
+        Raises:
+            ValueError: if its pose is not a rigid transform.
+        """
+        check_rigid(estimate.T_cam_obj, "the estimator's T_cam_obj")
+        error = add_or_add_s(estimate.T_cam_obj, self.T_cam_obj_true(0), self.model)
+        self.estimates.append(estimate)
+        self.errors.append(error)
 
     def T_cam_obj_true(self, index: int) -> np.ndarray:
         """The true pose in the camera of a view, (4, 4), a new array."""
@@ -88,42 +102,54 @@ class Episode:
         """Angle at the middle of the view sphere between the first and the newest camera."""
         return angle_at(self.sphere_centre, self.cameras[0], self.cameras[-1])
 
-    def reward(self, diameter: float, travel_weight: float) -> float:
-        """Minus the newest error in diameters (at most 1), minus the price of the travel.
+    @property
+    def estimate(self) -> PoseEstimate | None:
+        """The newest estimate; None without an estimator."""
+        return self.estimates[-1] if self.estimates else None
 
-        Args:
-            diameter: of the target, metres.
-            travel_weight: price of a metre of camera travel.
-        """
-        error = min(self.errors[-1] / diameter, 1.0) if self.errors else 0.0
-        return float(-error - travel_weight * self.travel)
+    @property
+    def diameter(self) -> float:
+        """Of the target, meters."""
+        return float(self.model.diameter)
 
-    def info(self, diameter: float) -> dict[str, Any]:
-        """What the environment says of the episode beside its observation.
+    @property
+    def error_ratio(self) -> float:
+        """The newest error in diameters, at most 1; 0 without an estimator."""
+        return min(self.errors[-1] / self.diameter, 1.0) if self.errors else 0.0
 
-        Args:
-            diameter: of the target, metres.
-        """
-        estimate = self.estimates[-1] if self.estimates else None
-        truth: dict[str, Any] = {
-            "T_cam_obj": self.T_cam_obj_true(0),
-            "visibility": self.visibility,
-        }
-        if self.errors:
-            truth["add_first"] = self.errors[0]
-            truth["success"] = bool(self.errors[-1] < 0.1 * diameter)
-        if len(self.errors) > 1:
-            truth["add_second"] = self.errors[-1]
+    def info(self) -> dict[str, Any]:
+        """The environment's info; everything that no agent may use is in ``ground_truth``."""
+        estimate = self.estimate
         return {
             "object": self.object_name,
-            "diameter": diameter,
+            "diameter": self.diameter,
             "scene_seed": self.scene_seed,
             "T_cam_world": self.cameras[-1].copy(),
             "T_cam_obj": np.zeros((4, 4)) if estimate is None else estimate.T_cam_obj.copy(),
             "travel": self.travel,
             "baseline_deg": self.baseline_deg,
-            "ground_truth": truth,
+            "ground_truth": {
+                "T_cam_obj": self.T_cam_obj_true(0),
+                **ground_truth(self.visibility, self.errors, self.diameter),
+            },
         }
+
+
+def ground_truth(visibility: float, errors: Sequence[float], diameter: float) -> dict[str, Any]:
+    """What an info says of the truth of live and of recorded episodes.
+
+    Args:
+        visibility: visible fraction of the target in the reference view.
+        errors: ADD(-S) of each estimate so far, meters; empty without an estimator.
+        diameter: of the target, meters.
+    """
+    truth: dict[str, Any] = {"visibility": visibility}
+    if errors:
+        truth["add_first"] = errors[0]
+        truth["success"] = bool(errors[-1] < 0.1 * diameter)
+    if len(errors) > 1:
+        truth["add_second"] = errors[-1]
+    return truth
 
 
 def episode_seed(seed: int, number: int) -> int:

@@ -48,7 +48,7 @@ def evaluate(config: EvaluateConfig) -> None:
                 view_angles=(10.0, 60.0),
                 jpeg_quality=0,
                 masks=False,
-                layout="basic",
+                annotations="basic",
                 depth=config.method == "rgbd",
                 depth_noise=config.method == "rgbd",
             )

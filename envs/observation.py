@@ -1,6 +1,6 @@
-"""What the agent sees: the observation space and how an observation is made.
+"""The observation space, and how an observation is made.
 
-Everything comes from the estimate, the reference picture and the robot's own camera poses; ground
+Everything comes from the estimate, the reference image and the robot's own camera poses; ground
 truth has no way in.
 """
 
@@ -18,12 +18,12 @@ from ..pose_estimator.estimate import PoseEstimate
 from ..pose_estimator.geometry import crop_matrix, invert, rotation_to_6d
 
 KEYPOINTS = 9
-SURROUNDINGS = 2.5
-"""Side of the crop in sides of the detection: what stands around the object hides it elsewhere."""
+CROP_SCALE = 2.5
+"""Side of the crop in sides of the detection: it shows what may occlude the object elsewhere."""
 UNCERTAINTY_UNIT = 0.01
 """Keypoint uncertainty is log10 of its standard deviation over this many metres."""
 
-# Bounds beyond which a value is clipped: a hopeless estimate must not leave the space.
+# Out-of-range estimates are clipped to the space.
 _TRANSLATION_LOW = np.array([-1.0, -1.0, 0.0], dtype=np.float32)
 _TRANSLATION_HIGH = np.array([1.0, 1.0, 3.0], dtype=np.float32)
 _CAMERA_LOW = np.array([0.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0], dtype=np.float32)
@@ -38,10 +38,10 @@ class SpherePosition:
     """A camera pose as seen from the middle of a view sphere.
 
     Attributes:
-        distance: from the middle to the camera's centre, metres.
+        distance: from the middle to the camera's center, meters.
         azimuth: about the world's z axis, radians, 0 along +x.
         elevation: above the horizontal through the middle, radians.
-        roll: of the picture about the optical axis, radians; 0 when its rows are horizontal.
+        roll: of the image about the optical axis, radians; 0 when its rows are horizontal.
     """
 
     distance: float
@@ -94,7 +94,7 @@ def make_observation(
 
     Args:
         space: from ``observation_space``.
-        estimate: the newest estimate; None leaves its fields zero and crops the picture's middle.
+        estimate: the newest estimate; None leaves its fields zero and crops the image's middle.
         reference_image: RGB uint8, (H, W, 3).
         camera: the newest camera pose, seen from the estimated object.
         reference_azimuth: azimuth of the reference camera, radians.
@@ -144,13 +144,13 @@ def _log_uncertainty(covariance: np.ndarray) -> np.ndarray:
 
 
 def _crop(image: np.ndarray, estimate: PoseEstimate | None, size: int) -> np.ndarray:
-    """The reference picture around the detection, (size, size, 3); grey outside the frame."""
+    """The reference image around the detection, (size, size, 3); gray outside the frame."""
     height, width = image.shape[:2]
     centre, side = np.array([(width - 1) / 2, (height - 1) / 2]), float(min(height, width))
     if estimate is not None and estimate.rois:
         roi = estimate.rois[0]
         if np.isfinite(roi.centre).all() and np.isfinite(roi.side):
-            centre, side = roi.centre, float(np.clip(SURROUNDINGS * roi.side, 8.0, 2.0 * width))
+            centre, side = roi.centre, float(np.clip(CROP_SCALE * roi.side, 8.0, 2.0 * width))
     # warpAffine does not average when it shrinks: warp to a multiple of the size, then average.
     factor = max(1, int(np.ceil(side / size)))
     crop = cv2.warpAffine(

@@ -1,4 +1,4 @@
-"""What ``reset(options=...)`` may say, checked at the door."""
+"""The options of ``reset(options=...)``, and their validation."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class ResetOptions:
 
 
 def _parse_camera(camera: Any, allowed: CameraRange) -> np.ndarray:
-    """T_cam_world (4, 4) from a matrix, or from a place on the sphere around the table's middle."""
+    """T_cam_world (4, 4) from a matrix or a position on the sphere around the table's middle."""
     if not isinstance(camera, Mapping):
         try:
             return check_rigid(camera, "option reference_camera")

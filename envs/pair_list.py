@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,11 +12,9 @@ from ..pose_estimator.bop_models_info import read_models_info
 from ..pose_estimator.bop_pairs import BopPair
 from ..pose_estimator.bop_targets import LEAST_VISIBLE
 from ..pose_estimator.geometry import invert
+from .generate_config import GenerateConfig
 from .scene_plan import plan_scene, target_names
 from .view_spread import viewing_angle
-
-if TYPE_CHECKING:
-    from .generate import GenerateConfig
 
 
 def two_view_pairs(config: GenerateConfig) -> Iterator[BopPair]:
@@ -37,7 +34,7 @@ def two_view_pairs(config: GenerateConfig) -> Iterator[BopPair]:
         targets = [obj_ids[name] for name in target_names(config, tuple(obj_ids))]
         for first, second in plan.pairs:
             pair = _pair(images[first], images[second], target)
-            if config.layout == "full":
+            if config.annotations == "full":
                 pair = replace(pair, visib_fracts=_visibility(images[first], images[second]))
             if plan.length is None and not plan.stereo:
                 if config.pair_angles[0] <= pair.baseline_deg <= config.pair_angles[1]:
@@ -58,7 +55,7 @@ def _shown(reference: BopImage, targets: Sequence[int]) -> list[int]:
 
 
 def _visibility(first: BopImage, second: BopImage) -> dict[int, tuple[float, float]]:
-    """Visible fractions of each object in both views; a picture lists all objects of its scene."""
+    """Visible fractions of each object in both views; an image lists all objects of its scene."""
     return {
         a.obj_id: (a.visibility, b.visibility)
         for a, b in zip(first.annotations, second.annotations, strict=True)

@@ -1,4 +1,4 @@
-"""What would come of an action, without taking it: for recording, and for the oracle."""
+"""What a step would return, without taking it: for recording, and for the oracle."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from .observation import Observation
 class PeekingEnv(ViewSelectionEnv):
     """An environment that can be asked what a step would return."""
 
-    def peek(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def simulate_action(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """What ``step(action)`` would return now; the episode stays as it is.
 
         Raises:
             ValueError: as :meth:`step`.
             ResetNeeded: as :meth:`step`.
         """
-        return self.peek_all([action])[0]
+        return self.simulate_actions([action])[0]
 
-    def peek_all(
+    def simulate_actions(
         self, actions: Sequence[Any]
     ) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
-        """What :meth:`peek` returns for each action; the estimator is asked for several at once.
+        """What ``step`` would return now for each action, estimated in batches.
 
         For recording many second views of one scene, and for the policy that knows the answer.
 
@@ -35,30 +35,29 @@ class PeekingEnv(ViewSelectionEnv):
             ValueError: as :meth:`step`.
             ResetNeeded: as :meth:`step`.
         """
-        with self._as_it_is() as before:
-            answers = []
+        with self._restored_afterwards() as before:
+            outputs = []
             size = batch_size(self._estimator)
             for start in range(0, len(actions), size):
-                ways = [before.copy() for _ in actions[start : start + size]]
-                for way, action in zip(ways, actions[start:], strict=False):
-                    self._episode = way
+                episodes = [before.copy() for _ in actions[start : start + size]]
+                for episode, action in zip(episodes, actions[start:], strict=False):
+                    self._episode = episode
                     self._carrier.place(before.cameras[-1])
                     T_cam_world = self.move(action)
-                    self.see(T_cam_world, self._studio.shoot(T_cam_world, len(way.views)))
+                    image = self._simulator.render(T_cam_world, len(episode.views))
+                    self.add_view(T_cam_world, image)
+                requests = [(tuple(episode.views), episode.object_name) for episode in episodes]
                 if self._estimator is not None:
-                    requests = [(tuple(way.views), way.object_name) for way in ways]
-                    for way, estimate in zip(
-                        ways, estimate_all(self._estimator, requests), strict=True
-                    ):
-                        self._episode = way
-                        self.learn(estimate)
-                for way in ways:
-                    self._episode = way
-                    answers.append(self.outcome())
-            return answers
+                    estimates = estimate_all(self._estimator, requests)
+                    for episode, estimate in zip(episodes, estimates, strict=True):
+                        episode.add_estimate(estimate)
+                for episode in episodes:
+                    self._episode = episode
+                    outputs.append(self.step_output())
+            return outputs
 
     @contextmanager
-    def _as_it_is(self) -> Iterator[Episode]:
+    def _restored_afterwards(self) -> Iterator[Episode]:
         """Afterwards the episode is what it was before, whatever was done to it."""
         before, mode = self._running(), self.render_mode
         self.render_mode = None

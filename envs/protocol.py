@@ -1,4 +1,4 @@
-"""The one small door between the environment and whatever estimates the pose."""
+"""The interface between the environments and whatever estimates the pose."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ..pose_estimator.geometry import View
 
 @runtime_checkable
 class PoseEstimator(Protocol):
-    """Anything that answers where an object is, given one or two views of it.
+    """Anything that estimates the pose of an object from one or two views of it.
 
     A caller's own estimator needs ``estimate`` only. If it also has ``object_names``, the
     environment refuses objects that are not among them. If it has ``estimate_batch(requests)``,
-    which takes a list of (views, object name) and returns what ``estimate`` answers to each, it is
-    asked once for many pairs of views; and by vector environments from two threads if its
+    which takes a list of (views, object name) and returns what ``estimate`` does for each, it is
+    called once for many pairs of views; and by vector environments from two threads if its
     ``thread_safe`` is true.
     """
 
@@ -45,13 +45,6 @@ def _load(method: str, device: str) -> PoseEstimator:
     return pose_estimator.load(method, device=device)
 
 
-def _load_file(weights: str | Path, device: str) -> PoseEstimator:
-    """Mid-Fusion with a user's own weights, which are read once a process and device."""
-    from .. import pose_estimator
-
-    return pose_estimator.load("mid", weights, device=device)
-
-
 def resolve_estimator(
     estimator: str | Path | PoseEstimator | None, device: str = "auto"
 ) -> PoseEstimator | None:
@@ -72,10 +65,13 @@ def resolve_estimator(
     if estimator is None:
         return None
     if isinstance(estimator, str | Path):
-        own = Path(estimator).suffix == ".safetensors"
         # One estimator for "auto" and the name of the same device.
         found = str(resolve_device(device))
-        return _load_file(estimator, found) if own else _load(str(estimator), found)
+        if Path(estimator).suffix != ".safetensors":
+            return _load(str(estimator), found)
+        from .. import pose_estimator
+
+        return pose_estimator.load("mid", estimator, device=found)
     if not callable(getattr(estimator, "estimate", None)):
         raise ValueError(
             "estimator must be the name of a method, a .safetensors file, an object with "

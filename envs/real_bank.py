@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -29,18 +29,15 @@ from ..pose_estimator.find_pairs import find_pairs
 from ..pose_estimator.geometry import View, invert, make_transform
 from ..pose_estimator.metrics import add_or_add_s
 from .actions import check_candidates
-from .bank_recorder import one_scene
 from .camera import view_sphere_pose
 from .carrier import camera_centre
 from .observation import SpherePosition, make_observation, observation_space
+from .record_config import RecordBankConfig
 from .two_view_pose import CANDIDATE_VIEWS
-from .view_bank import BankHeader, joined, write_bank
-
-if TYPE_CHECKING:
-    from .record_bank import RecordBankConfig
+from .view_bank import BankHeader, concatenate, scene_arrays, write_bank
 
 IMAGE_SIZE = 64
-LEAST_PHOTOGRAPHS = 2
+MIN_SECOND_VIEWS = 2
 """Second views that a scene must have: with one there is nothing to choose."""
 
 
@@ -56,10 +53,10 @@ def record_real_bank(config: RecordBankConfig) -> None:
         parts.append(recorder.record(image, name, seconds))
     if not parts:
         raise ValueError(
-            f"{config.data}: no photograph has {LEAST_PHOTOGRAPHS} others of an object that the "
+            f"{config.data}: no photograph has {MIN_SECOND_VIEWS} others of an object that the "
             f"weights {config.weights} know and that did not move"
         )
-    write_bank(config.out, joined(recorder.header(), parts))
+    write_bank(config.out, concatenate(recorder.header(), parts))
 
 
 Seconds = dict[int, np.ndarray]
@@ -125,7 +122,7 @@ class _RealRecorder:
         chosen = []
         for (scene_id, image_id, obj_id), seconds in sorted(found.items()):
             image = self._scenes[scene_id][image_id]
-            if image.annotation(obj_id) is not None and len(seconds) >= LEAST_PHOTOGRAPHS:
+            if image.annotation(obj_id) is not None and len(seconds) >= MIN_SECOND_VIEWS:
                 chosen.append((image, known[obj_id], seconds))
         return chosen
 
@@ -142,8 +139,8 @@ class _RealRecorder:
         place = SpherePosition.of(T_ref_world, centre)
 
         def error(estimate: Any) -> float:
-            wrong = add_or_add_s(estimate.T_cam_obj, truth.T_cam_obj, measured)
-            return float(wrong / measured.diameter)
+            add = add_or_add_s(estimate.T_cam_obj, truth.T_cam_obj, measured)
+            return float(add / measured.diameter)
 
         def observe(estimate: Any, T_cam_world: np.ndarray) -> dict[str, np.ndarray]:
             return make_observation(
@@ -157,24 +154,18 @@ class _RealRecorder:
 
         cameras = {i: T_second_ref @ T_ref_world for i, T_second_ref in seconds.items()}
         slots = self._slots(cameras, centre, place)
-        outcomes, errors, seen = {}, {}, {}
         chosen = sorted(set(slots))
         views = [View(read_rgb(others[i]), others[i].K, cameras[i]) for i in chosen]
         estimates = estimate_all(self._estimator, [((reference, view), name) for view in views])
-        for image_id, estimate in zip(chosen, estimates, strict=True):
-            second = others[image_id]
-            travel = camera_centre(cameras[image_id]) - camera_centre(T_ref_world)
-            observation = observe(estimate, cameras[image_id])
-            outcomes[image_id] = (
-                observation,
-                cameras[image_id],
-                estimate.T_cam_obj,
-                float(np.linalg.norm(travel)),
-            )
-            errors[image_id] = error(estimate)
-            shown = second.annotation(model.obj_id)
-            seen[image_id] = np.nan if shown is None else shown.visibility
-        arrays = one_scene(observe(first, T_ref_world), first, [outcomes[i] for i in slots])
+        outcomes, errors, visible = {}, {}, {}
+        for i, estimate in zip(chosen, estimates, strict=True):
+            travel = camera_centre(cameras[i]) - camera_centre(T_ref_world)
+            distance = float(np.linalg.norm(travel))
+            outcomes[i] = (observe(estimate, cameras[i]), cameras[i], estimate.T_cam_obj, distance)
+            errors[i] = error(estimate)
+            shown = others[i].annotation(model.obj_id)
+            visible[i] = np.nan if shown is None else shown.visibility
+        arrays = scene_arrays(observe(first, T_ref_world), first, [outcomes[i] for i in slots])
         return arrays | {
             "object_index": np.array([self._names.index(name)], np.int16),
             "scene_seed": np.array([1_000_000 * image.scene_id + image.image_id], np.int64),
@@ -184,7 +175,7 @@ class _RealRecorder:
             "centre": centre[None],
             "first_error": np.array([error(first)], np.float32),
             "second_error": np.array([[errors[i] for i in slots]], np.float32),
-            "second_visibility": np.array([[seen[i] for i in slots]], np.float32),
+            "second_visibility": np.array([[visible[i] for i in slots]], np.float32),
         }
 
     def _slots(

@@ -1,4 +1,4 @@
-"""The decision of Two-View Pose over recorded views: nothing is rendered, nothing estimated."""
+"""Two-View Pose over recorded views: nothing is rendered, nothing estimated."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from ..pose_estimator.estimate import PoseEstimate
 from .actions import box_view, candidate_view, check_candidates
 from .camera import view_sphere_pose
 from .carrier import angle_at, camera_centre
+from .episode import ground_truth
 from .mirror import Mirror
 from .observation import Observation, SpherePosition, observation_space
 from .view_bank import ViewBank, read_bank
@@ -55,11 +56,11 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
     |-----------------|--------------|------------------------------------------------------------|
     | `bank`          |              | a file, or a `ViewBank`                                    |
     | `action`        | `"discrete"` | or `"box"`                                                 |
-    | `travel_weight` | 0.05         | price of a metre of camera travel                          |
+    | `travel_weight` | 0.05         | cost of a meter of camera travel                           |
     | `scenes`        | None         | (first, end): only these scenes of the bank                |
-    | `mirror`        | False        | show every second scene in a mirror: twice as many to      |
-    |                 |              | learn from                                                 |
-    | `in_turn`       | False        | one scene after the other instead of drawn ones            |
+    | `mirror`        | False        | flip scenes left to right with probability 0.5             |
+    | `shuffle`       | True         | draw scenes; False: one after the other, in the bank's     |
+    |                 |              | order                                                      |
 
     ## Version History
 
@@ -76,7 +77,7 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         travel_weight: float = 0.05,
         scenes: tuple[int, int] | None = None,
         mirror: bool = False,
-        in_turn: bool = False,
+        shuffle: bool = True,
         render_mode: str | None = None,
     ) -> None:
         if action not in ("discrete", "box"):
@@ -84,36 +85,30 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         if not (np.isfinite(travel_weight) and travel_weight >= 0):
             raise ValueError(f"travel_weight must be a number of at least 0, got {travel_weight}")
         self.render_mode = render_mode
-        self.bank = bank if isinstance(bank, ViewBank) else shared_bank(os.fspath(bank))
-        if not self.bank.answered:
+        self.bank = bank if isinstance(bank, ViewBank) else load_bank_cached(os.fspath(bank))
+        if not self.bank.has_estimates:
             raise ValueError(
-                "bank holds no answers of an estimator (it was recorded with --no-answers): such a "
-                "bank serves only to train agents with --algo greedy --visibility-bank"
+                "bank holds no estimates of second views (it was recorded with --no-estimates): "
+                "such a bank serves only to train agents with --algo greedy --visibility-bank"
             )
         first, end = (0, len(self.bank)) if scenes is None else scenes
         if not 0 <= first < end <= len(self.bank):
             raise ValueError(f"scenes must lie within 0 to {len(self.bank)}, got {scenes}")
         self._scenes = range(first, end)
-        self._in_turn, self._next = in_turn, 0
-        self._travel_weight = float(travel_weight)
+        self._shuffle, self._next = shuffle, 0
+        self.travel_weight = float(travel_weight)
+        self.object_names = self.bank.header.object_names
         self._candidates = check_candidates(self.bank.header.candidate_views)
         self._mirror = Mirror(self._candidates) if mirror else None
         image_size = self.bank.first["image"].shape[1]
         self.observation_space: spaces.Space[Any] = observation_space(
             len(self.object_names), image_size
         )
-        self.action_space: spaces.Space[Any] = (
-            spaces.Discrete(self.bank.slots)
-            if action == "discrete"
-            else spaces.Box(-1.0, 1.0, (3,), np.float32)
-        )
+        self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (3,), np.float32)
+        if action == "discrete":
+            self.action_space = spaces.Discrete(self.bank.slots)
         self._scene: int | None = None
         self._mirrored = self._ended = False
-
-    @property
-    def object_names(self) -> tuple[str, ...]:
-        """The objects, in the order of the observation's one-hot."""
-        return self.bank.header.object_names
 
     @property
     def scene(self) -> int:
@@ -131,11 +126,6 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
             keypoints=bank.keypoints[i].astype(np.float64),
             keypoint_covariance=bank.covariance[i].astype(np.float64),
         )
-
-    @property
-    def travel_weight(self) -> float:
-        """Price of a metre of camera travel."""
-        return self._travel_weight
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -171,7 +161,7 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         """Draws a scene of the bank.
 
         Args:
-            seed: starts the environment's random numbers anew.
+            seed: of the environment's random numbers; None goes on with them.
             options: ``scene``, the number of one in the bank.
 
         Raises:
@@ -179,13 +169,13 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         """
         super().reset(seed=seed)
         drawn = self._scenes[int(self.np_random.integers(len(self._scenes)))]
-        if self._in_turn:
+        if not self._shuffle:
             drawn, self._next = self._scenes[self._next], (self._next + 1) % len(self._scenes)
-        self._scene = _asked_scene(options, self._scenes, drawn)
+        self._scene = _requested_scene(options, self._scenes, drawn)
         self._mirrored = self._mirror is not None and bool(self.np_random.integers(2))
         self._ended = False
         observation = {key: array[self._scene].copy() for key, array in self.bank.first.items()}
-        return self._shown(observation), self._info(None)
+        return self._mirror_if_drawn(observation), self._info(None)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Takes a recorded second view; the episode ends.
@@ -203,22 +193,22 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         observation = fixed | {k: array[scene, slot].copy() for k, array in bank.second.items()}
         observation = {key: observation[key] for key in bank.first}
         error, travel = float(bank.second_error[scene, slot]), float(bank.travel[scene, slot])
-        reward = -min(error, 1.0) - self._travel_weight * travel
-        return self._shown(observation), reward, True, False, self._info(slot)
+        reward = -min(error, 1.0) - self.travel_weight * travel
+        return self._mirror_if_drawn(observation), reward, True, False, self._info(slot)
 
-    def peek(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def simulate_action(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """What ``step(action)`` would return now; the episode stays as it is."""
-        outcome = self.step(action)
+        output = self.step(action)
         self._ended = False
-        return outcome
+        return output
 
-    def peek_all(
+    def simulate_actions(
         self, actions: Sequence[Any]
     ) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
-        """What :meth:`peek` returns for each action."""
-        return [self.peek(action) for action in actions]
+        """What ``step`` would return now for each action."""
+        return [self.simulate_action(action) for action in actions]
 
-    def _shown(self, observation: Observation) -> Observation:
+    def _mirror_if_drawn(self, observation: Observation) -> Observation:
         if self._mirrored:
             assert self._mirror is not None
             return self._mirror.observation(observation)
@@ -247,17 +237,13 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         bank, scene = self.bank, self.scene
         index = int(bank.object_index[scene])
         diameter = bank.header.diameters[index]
-        first, travel, baseline = float(bank.first_error[scene]) * diameter, 0.0, 0.0
-        T_cam_world, T_cam_obj = bank.T_cam_world[scene], bank.T_cam_obj[scene]
-        truth: dict[str, Any] = {"visibility": float(bank.visibility[scene]), "add_first": first}
-        truth["success"] = bool(first < 0.1 * diameter)
+        errors = [float(bank.first_error[scene]) * diameter]
+        T_cam_world, T_cam_obj, travel = bank.T_cam_world[scene], bank.T_cam_obj[scene], 0.0
         if slot is not None:
-            error = float(bank.second_error[scene, slot])
-            truth |= {"add_second": error * diameter, "success": error < 0.1}
-            travel = float(bank.travel[scene, slot])
+            errors.append(float(bank.second_error[scene, slot]) * diameter)
             T_cam_world = bank.second_T_cam_world[scene, slot]
             T_cam_obj = bank.second_T_cam_obj[scene, slot]
-            baseline = angle_at(self.sphere_centre, bank.T_cam_world[scene], T_cam_world)
+            travel = float(bank.travel[scene, slot])
         return {
             "object": self.object_names[index],
             "diameter": diameter,
@@ -265,18 +251,18 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
             "T_cam_world": T_cam_world.copy(),
             "T_cam_obj": T_cam_obj.copy(),
             "travel": travel,
-            "baseline_deg": baseline,
-            "ground_truth": truth,
+            "baseline_deg": angle_at(self.sphere_centre, bank.T_cam_world[scene], T_cam_world),
+            "ground_truth": ground_truth(float(bank.visibility[scene]), errors, diameter),
         }
 
 
 @lru_cache(maxsize=4)
-def shared_bank(path: str) -> ViewBank:
+def load_bank_cached(path: str) -> ViewBank:
     """Reads a bank once a process, for all environments over it."""
     return read_bank(path)
 
 
-def _asked_scene(options: Mapping[str, Any] | None, scenes: range, drawn: int) -> int:
+def _requested_scene(options: Mapping[str, Any] | None, scenes: range, drawn: int) -> int:
     """The scene that the options of ``reset`` ask for, else the drawn one."""
     unknown = sorted(set(options or {}) - {"scene"})
     if unknown:

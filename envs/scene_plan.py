@@ -17,7 +17,7 @@ from .stereo import rig_pairs
 
 if TYPE_CHECKING:
     from ..assets.object_model import ObjectModel
-    from .generate import GenerateConfig
+    from .generate_config import GenerateConfig
 
 TURNS = {"mixed": ("linemod", "clutter"), "all": ("linemod", "clutter", "heap")}
 """Kinds of scenes that stand for several, which take turns."""

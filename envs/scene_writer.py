@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import ctypes
-import sys
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..pose_estimator.bop_coco import COCO_FILE, write_coco
 from ..pose_estimator.bop_writer import BopFrame, scene_folder, write_scene
-from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K
 from .annotation import annotate
 from .camera import CameraRange
 from .checksums import SUMS_FILE, write_sums
 from .dataset_folder import remove_leftovers
 from .depth_sensor import DepthSensorConfig, apply_depth_sensor
+from .generate_config import GenerateConfig
+from .intrinsics import scaled_intrinsics
 from .randomization import Randomization
 from .renderer import SceneRenderer
 from .scene import Scene, SceneConfig, SceneState
@@ -26,11 +24,8 @@ from .sequence import CENTRE_JITTER, draw_path
 from .stereo import rig_frames
 from .view_spread import spread_views
 
-if TYPE_CHECKING:
-    from .generate import GenerateConfig
 
-
-class SceneMaker:
+class SceneWriter:
     """Makes the scenes of one dataset; holds a compiled world for each kind of scene.
 
     Args:
@@ -40,10 +35,11 @@ class SceneMaker:
     def __init__(self, config: GenerateConfig) -> None:
         self._config = config
         self._objects = dataset_objects(config)
-        look = Randomization.busy() if config.look == "busy" else Randomization()
-        self._randomization = look if config.randomize else Randomization.none()
+        strong = config.domain_randomization == "strong"
+        randomization = Randomization.busy() if strong else Randomization()
+        self._randomization = randomization if config.randomize else Randomization.none()
         self._renderers: dict[str, tuple[Scene, SceneRenderer]] = {}
-        self._K = scaled_intrinsics(config.height, config.width)
+        self._K = scaled_intrinsics((config.height, config.width), "stretch")
 
     def make(self, scene_id: int) -> None:
         """Renders scene ``scene_id`` where that is not done, and adds what it lacks.
@@ -63,19 +59,12 @@ class SceneMaker:
             (folder / SUMS_FILE).unlink(missing_ok=True)
             write_coco(folder, [model.obj_id for model in self._objects.values()])
         write_sums(folder)
-        give_back_memory()
 
     def close(self) -> None:
         """Frees the GL contexts."""
         for _, renderer in self._renderers.values():
             renderer.close()
         self._renderers = {}
-
-    def __enter__(self) -> SceneMaker:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
 
     def _world(self, kind: str) -> tuple[Scene, SceneRenderer]:
         if kind not in self._renderers:
@@ -86,6 +75,7 @@ class SceneMaker:
 
     def _frames(self, plan: ScenePlan, rng: np.random.Generator) -> Iterator[BopFrame]:
         config, randomization = self._config, self._randomization
+        full = config.annotations == "full"
         scene, renderer = self._world(plan.kind)
         (depth_rng,) = rng.spawn(1)  # its own: depth changes nothing else
         state = scene.reset(rng, plan.target)
@@ -101,7 +91,7 @@ class SceneMaker:
             if depth is not None and config.depth_noise:
                 depth = apply_depth_sensor(depth, self._K, DepthSensorConfig(), depth_rng)
             valid = None
-            if depth is not None and config.layout == "full":
+            if depth is not None and full:
                 valid = [int(np.count_nonzero(whole & (depth > 0))) for whole in known.silhouettes]
             if sensor is None:
                 rgb = apply_sensor(frame.rgb, randomization.sensor, rng)
@@ -115,14 +105,14 @@ class SceneMaker:
                 masks=known.masks if config.masks else None,
                 depth=depth,
                 image_id=image_id,
-                silhouettes=known.silhouettes if config.masks and config.layout == "full" else None,
+                silhouettes=known.silhouettes if config.masks and full else None,
                 px_counts_valid=valid,
             )
 
     def _path(
         self, scene: Scene, state: SceneState, plan: ScenePlan, rng: np.random.Generator
     ) -> Sequence[np.ndarray]:
-        """T_cam_world (4, 4) of every frame, also of those that become no picture."""
+        """T_cam_world (4, 4) of every frame, also of those that become no image."""
         cameras = CameraRange(
             roll=self._randomization.camera_roll, look_at_noise=self._randomization.look_at_noise
         )
@@ -136,27 +126,8 @@ class SceneMaker:
         return rig_frames(views, self._config.stereo_baseline) if plan.stereo else views
 
 
-def give_back_memory() -> None:
-    """Returns freed memory to the system, so that what a worker holds is what it needs.
-
-    Elsewhere than on glibc this does nothing.
-    """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
-    if trim is not None:
-        trim(0)
-
-
 def is_finished(config: GenerateConfig, scene_id: int) -> bool:
     """Whether a scene lies on the disk with all that belongs to it."""
     folder = scene_folder(config.out, config.split, scene_id)
     wanted = (SUMS_FILE, COCO_FILE) if config.coco else (SUMS_FILE,)
     return all((folder / name).exists() for name in wanted)
-
-
-def scaled_intrinsics(height: int, width: int) -> np.ndarray:
-    """LineMOD's camera matrix (3, 3) for pictures of another size."""
-    scale = np.array([width / LINEMOD_IMAGE_SIZE[1], height / LINEMOD_IMAGE_SIZE[0]])
-    K = LINEMOD_K.copy()
-    K[[0, 1], [0, 1]] *= scale
-    K[:2, 2] = scale * (K[:2, 2] + 0.5) - 0.5  # pixel centres are whole numbers
-    return K

@@ -13,7 +13,7 @@ from gymnasium.error import ResetNeeded
 from .actions import candidate_view
 from .episode import Episode
 from .observation import Observation
-from .studio import MOST_VIEWS
+from .studio import MAX_VIEWS
 from .two_view_pose import TwoViewPoseDiscreteEnv
 
 
@@ -60,8 +60,8 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
 
     | Argument      | Default | Meaning                                |
     |---------------|---------|----------------------------------------|
-    | `budget`      | 3       | most second views, 1 to 7              |
-    | `view_weight` | 0.02    | price of a second view                 |
+    | `budget`      | 3       | maximum of second views, 1 to 7       |
+    | `view_weight` | 0.02    | cost of a second view                  |
 
     ## Version History
 
@@ -69,8 +69,8 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
     """
 
     def __init__(self, *, budget: int = 3, view_weight: float = 0.02, **kwargs: Any) -> None:
-        if not 1 <= budget < MOST_VIEWS:
-            raise ValueError(f"budget must be 1 to {MOST_VIEWS - 1} second views, got {budget}")
+        if not 1 <= budget < MAX_VIEWS:
+            raise ValueError(f"budget must be 1 to {MAX_VIEWS - 1} second views, got {budget}")
         if not (np.isfinite(view_weight) and view_weight >= 0):
             raise ValueError(f"view_weight must be a number of at least 0, got {view_weight}")
         self._budget, self._view_weight = budget, float(view_weight)
@@ -122,31 +122,30 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
             episode.travel += motion.travel
             self._taken = [*self._taken, chosen]
             self._look(motion.T_cam_world)
-            reward -= self._view_weight + self._travel_weight * motion.travel
+            reward -= self._view_weight + self.travel_weight * motion.travel
             episode.ended = len(self._taken) == self._budget
-        if episode.ended and episode.errors:
-            diameter = self._objects[episode.object_name].diameter
-            reward -= min(episode.errors[-1] / diameter, 1.0)
+        if episode.ended:
+            reward -= episode.error_ratio
         if self.render_mode == "human":
             self.render()
         return self._observation(), float(reward), episode.ended, False, self._info()
 
-    def peek_all(
+    def simulate_actions(
         self, actions: Sequence[Any]
     ) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
         """What ``step`` would return now for each action; the episode stays as it is."""
-        answers = []
+        outputs = []
         for action in actions:
-            with self._as_it_is() as before:
+            with self._restored_afterwards() as before:
                 self._episode = before.copy()
-                answers.append(self.step(action))
-        return answers
+                outputs.append(self.step(action))
+        return outputs
 
     @contextmanager
-    def _as_it_is(self) -> Iterator[Episode]:
+    def _restored_afterwards(self) -> Iterator[Episode]:
         taken = self._taken
         try:
-            with super()._as_it_is() as before:
+            with super()._restored_afterwards() as before:
                 yield before
         finally:
             self._taken = taken

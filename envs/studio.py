@@ -1,54 +1,33 @@
-"""Where an episode's pictures are taken: a scene, and a camera in it.
+"""Simulates the scene of an episode: what stands on the table, and images of it.
 
-The environment has its studio in its own process. ``TwoViewPoseVectorEnv`` has studios in others
-(:mod:`studio_workers`): one order sets up a scene, another takes a picture of it, and either says
-all that it depends on, so that where it is carried out does not matter.
+An environment has its simulator in its own process. ``TwoViewPoseVectorEnv`` has simulators in
+others (:mod:`studio_workers`): one call sets up a scene, another renders it, and either says all
+that it depends on, so that where it is carried out does not matter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from ..assets.object_model import ObjectModel
-from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K
 from .arrangement import target_visibility
+from .intrinsics import scaled_intrinsics
 from .randomization import Randomization
 from .renderer import SceneRenderer
 from .scene import Scene, SceneConfig
 from .sensor import apply_sensor
 
-MOST_VIEWS = 8
+MAX_VIEWS = 8
 """Views that one episode may have, the reference view included."""
 
 
 @dataclass(frozen=True, eq=False)
-class StudioConfig:
-    """What a studio is made of.
-
-    Attributes:
-        objects: by name; any of them can be the target.
-        scene: what stands on the table.
-        randomization: of lights, textures and sensor.
-        resolution: height and width of the pictures, pixels.
-    """
-
-    objects: Mapping[str, ObjectModel]
-    scene: SceneConfig
-    randomization: Randomization
-    resolution: tuple[int, int]
-
-    @property
-    def intrinsics(self) -> np.ndarray:
-        """Camera matrix of the pictures, (3, 3); see :func:`scaled_intrinsics`."""
-        return scaled_intrinsics(self.resolution)
-
-
-@dataclass(frozen=True, eq=False)
-class SceneOrder:
+class SceneRequest:
     """Which scene to set up.
 
     Attributes:
@@ -63,7 +42,7 @@ class SceneOrder:
 
 
 @dataclass(frozen=True, eq=False)
-class Setup:
+class SceneInfo:
     """A scene that was set up.
 
     Attributes:
@@ -71,64 +50,61 @@ class Setup:
         T_world_obj: its true pose, (4, 4).
         T_cam_world: the reference camera, (4, 4).
         visibility: visible fraction of the target in the reference view.
+        image: the reference view, RGB uint8 (H, W, 3).
     """
 
     object_name: str
     T_world_obj: np.ndarray
     T_cam_world: np.ndarray
     visibility: float
+    image: np.ndarray
 
 
-class Studio(Protocol):
-    """Sets up scenes and takes pictures of them."""
+class SceneSimulator:
+    """Sets up scenes and renders them.
 
-    def arrange(self, order: SceneOrder) -> Setup:
-        """Sets up a scene in place of the one before."""
-        ...
+    Args:
+        objects: by name; any of them can be the target.
+        scene: what stands on the table.
+        randomization: of lights, textures and sensor.
+        resolution: height and width of the images, pixels; see
+            :func:`~.intrinsics.scaled_intrinsics` for other proportions than LineMOD's.
+    """
 
-    def shoot(self, T_cam_world: np.ndarray, number: int) -> np.ndarray:
-        """Takes a picture of the scene: RGB uint8 (H, W, 3).
+    def __init__(
+        self,
+        objects: Mapping[str, ObjectModel],
+        scene: SceneConfig,
+        randomization: Randomization,
+        resolution: tuple[int, int],
+    ) -> None:
+        self._names = tuple(objects)
+        self._sensor = randomization.sensor
+        self._K = scaled_intrinsics(resolution, "crop")
+        self._scene = Scene(objects, scene, randomization)
+        self._renderer = SceneRenderer(self._scene, *resolution)
+        self._seed = 0
+
+    def reset(self, request: SceneRequest) -> SceneInfo:
+        """Sets up a scene in place of the one before, and renders the reference view."""
+        rng = episode_generators(request.seed)[0]
+        drawn = self._names[int(rng.integers(len(self._names)))]
+        name = drawn if request.object_name is None else request.object_name
+        state = self._scene.reset(rng, name, request.reference_camera)
+        self._seed = request.seed
+        T_cam_world, visibility = state.T_cam_world, float(state.visibility)
+        image = self.render(T_cam_world, 0)
+        return SceneInfo(name, state.T_world_obj[name], T_cam_world, visibility, image)
+
+    def render(self, T_cam_world: np.ndarray, number: int) -> np.ndarray:
+        """Renders the scene: RGB uint8 (H, W, 3).
 
         Args:
             T_cam_world: the camera, (4, 4).
             number: of the view in its episode, from 0; the sensor's noise depends on it.
         """
-        ...
-
-    def visibility_from(self, T_cam_world: np.ndarray) -> float:
-        """Visible fraction of the target from a camera (4, 4)."""
-        ...
-
-    def close(self) -> None:
-        """Frees what the studio holds."""
-        ...
-
-
-class LocalStudio:
-    """A studio in this process."""
-
-    def __init__(self, config: StudioConfig) -> None:
-        self._config = config
-        self._names = tuple(config.objects)
-        self._K = config.intrinsics
-        self._scene = Scene(config.objects, config.scene, config.randomization)
-        self._renderer = SceneRenderer(self._scene, *config.resolution)
-        self._seed = 0
-
-    def arrange(self, order: SceneOrder) -> Setup:
-        """Sets up a scene in place of the one before."""
-        rng = episode_generators(order.seed)[0]
-        drawn = self._names[int(rng.integers(len(self._names)))]
-        name = drawn if order.object_name is None else order.object_name
-        state = self._scene.reset(rng, name, order.reference_camera)
-        self._seed = order.seed
-        return Setup(name, state.T_world_obj[name], state.T_cam_world, float(state.visibility))
-
-    def shoot(self, T_cam_world: np.ndarray, number: int) -> np.ndarray:
-        """Takes a picture of the scene: RGB uint8 (H, W, 3)."""
-        picture = self._renderer.render(T_cam_world, self._K).rgb
-        rng = episode_generators(self._seed)[2 + number]
-        return apply_sensor(picture, self._config.randomization.sensor, rng)
+        image = self._renderer.render(T_cam_world, self._K).rgb
+        return apply_sensor(image, self._sensor, episode_generators(self._seed)[2 + number])
 
     def visibility_from(self, T_cam_world: np.ndarray) -> float:
         """Visible fraction of the target from a camera (4, 4)."""
@@ -137,8 +113,12 @@ class LocalStudio:
         T_world_obj = state.T_world_obj[state.target]
         return float(target_visibility(self._scene, state.target, T_world_obj, T_cam_world))
 
+    def submit(self, method: str, *arguments: Any) -> Callable[[], Any]:
+        """Prepares a call of a method; what is returned carries it out and returns its result."""
+        return partial(getattr(self, method), *arguments)
+
     def close(self) -> None:
-        """Frees the GL context; the next picture opens another."""
+        """Frees the GL context; the next image opens another."""
         self._renderer.close()
 
 
@@ -146,28 +126,7 @@ def episode_generators(scene_seed: int) -> list[np.random.Generator]:
     """One stream for each purpose, so that what one of them draws never moves another.
 
     Returns:
-        For the scene, for the error of the poses that the estimator is told, and for the sensor in
-        each of ``MOST_VIEWS`` views.
+        For the scene, for the error of the poses that the estimator is given, and for the sensor
+        in each of ``MAX_VIEWS`` views.
     """
-    return np.random.default_rng(scene_seed).spawn(2 + MOST_VIEWS)
-
-
-def scaled_intrinsics(resolution: tuple[int, int]) -> np.ndarray:
-    """LineMOD's camera matrix for pictures of another size (height, width).
-
-    A picture of other proportions than 3 to 4 shows the middle of LineMOD's, as much of it as there
-    is room for.
-
-    Raises:
-        ValueError: if there are no pixels.
-    """
-    height, width = resolution
-    if not (height >= 1 and width >= 1):
-        raise ValueError(f"resolution must be (height, width) of at least 1, got {resolution}")
-    full_height, full_width = LINEMOD_IMAGE_SIZE
-    scale = max(height / full_height, width / full_width)
-    A = np.diag([scale, scale, 1.0])
-    # The middle of the picture stays the middle of LineMOD's.
-    A[0, 2] = (width - 1) / 2 - scale * (full_width - 1) / 2
-    A[1, 2] = (height - 1) / 2 - scale * (full_height - 1) / 2
-    return A @ LINEMOD_K
+    return np.random.default_rng(scene_seed).spawn(2 + MAX_VIEWS)

@@ -23,11 +23,11 @@ TRAINING_SET = GenerateConfig(
     sampling="mixed",
     depth=True,
     seed=7001,
-    layout="basic",
+    annotations="basic",
 )
 """Views around the sphere and frames of hand-held sequences by turns, so that baselines of all
 sizes are trained. As a command: ``generate --out training --scenes 3120 --views 4 --scene all
---sampling mixed --depth --seed 7001 --layout basic``."""
+--sampling mixed --depth --seed 7001 --annotations basic``."""
 
 _LINEMOD = GenerateConfig(
     out=Path("linemod"),
@@ -42,7 +42,7 @@ _LINEMOD = GenerateConfig(
     depth_noise=True,
     masks=False,
     jpeg_quality=95,
-    layout="basic",
+    annotations="basic",
 )
 
 _OCCLUSION = replace(

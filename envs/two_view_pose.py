@@ -24,11 +24,11 @@ class TwoViewPoseEnv(PeekingEnv):
 
     ## Description
 
-    An object stands on a table among clutter that hides part of it. A camera has taken one
-    picture, and a pose estimator has guessed the object's 6D pose from it: often wrong in depth,
-    and worse where something is in the way. The camera may now move once and look again; the
-    estimator then answers from both pictures. The agent chooses where to look from. It is paid for
-    the accuracy of the final pose, less a little for the way the camera went.
+    An object stands on a table among clutter that hides part of it. A camera has taken one image,
+    and a pose estimator has estimated the object's 6D pose from it: often wrong in depth, and
+    worse under occlusion. The camera may now move once and look again; the estimator then uses
+    both images. The agent chooses where to look from. The reward is the accuracy of the final
+    pose, less a small cost for the camera's travel.
 
     Scenes are rendered by MuJoCo with LineMOD's camera (640x480) and objects modelled on LineMOD's
     thirteen. Each scene's lights, textures and sensor are drawn anew. One decision is one episode.
@@ -67,7 +67,7 @@ class TwoViewPoseEnv(PeekingEnv):
     | `rotation`    | (6,)        | first two columns of the estimated rotation, -1 to 1     |
     | `translation` | (3,)        | estimated position, metres, within +-1, +-1, 0 to 3      |
     | `uncertainty` | (9,)        | log10(sigma / 1 cm) of each keypoint, -2 to 2            |
-    | `score`       | (1,)        | how sure the detector is of the reference view, 0 to 1   |
+    | `score`       | (1,)        | detection confidence in the reference view, 0 to 1       |
     | `object`      | (n,)        | one-hot of the target among `objects`                    |
     | `camera`      | (7,)        | the newest camera, seen from the estimated object        |
     | `image`       | (64, 64, 3) | uint8 RGB crop of the reference view: the detection and  |
@@ -84,7 +84,7 @@ class TwoViewPoseEnv(PeekingEnv):
     `-min(ADD(-S) / diameter, 1) - travel_weight * travel`
 
     ADD(-S) is the mean distance of the model's points under the final and the true pose (ADD-S
-    for symmetric objects: eggbox, glue); `travel` is the length of the camera's way in metres.
+    for symmetric objects: eggbox, glue); `travel` is the length of the camera's path in meters.
     Between -1 - 0.05 * travel and 0.
 
     ## Starting State
@@ -115,12 +115,12 @@ class TwoViewPoseEnv(PeekingEnv):
 
     ## Vector environments
 
-    `gym.make_vec("two_view_pose:TwoViewPose-v0", num_envs=8)` is a `TwoViewPoseVectorEnv`: lane `i`
-    answers exactly as a single environment with its seed (an estimator on a GPU rounds a batch
-    otherwise), but the estimator is asked once for many lanes, while other processes arrange and
-    render (`workers`; 0: none). A lane resets in the very
-    step that ends its episode (`AutoresetMode.SAME_STEP`), as every step does here; the final
-    observation and info are `infos["final_obs"]` and `infos["final_info"]`. Workers are spawned: a
+    `gym.make_vec("two_view_pose:TwoViewPose-v0", num_envs=8)` is a `TwoViewPoseVectorEnv`:
+    sub-environment `i` returns exactly what a single environment with its seed does (an estimator
+    on a GPU rounds a batch otherwise), but estimates are batched, while other processes arrange
+    and render (`workers`; 0: none). A sub-environment resets in the very step that ends its
+    episode (`AutoresetMode.SAME_STEP`), as every step does here; the final observation and info
+    are `infos["final_obs"]` and `infos["final_info"]`. Workers are spawned: a
     script needs `if __name__ == "__main__":`. Gymnasium's own vectorizers default to `NEXT_STEP`,
     which would waste every second step; ask them for the same:
     `make_vec(..., vectorization_mode="async", vector_kwargs={"autoreset_mode": "SameStep"})`.
@@ -142,14 +142,14 @@ class TwoViewPoseEnv(PeekingEnv):
     | `device`        | `"auto"`     | where that estimator runs: `"auto"` (a GPU where there |
     |                 |              | is one), `"cpu"`, `"cuda"`, `"cuda:N"` or `"mps"`;     |
     |                 |              | your own object chooses for itself: leave `"auto"`     |
-    | `travel_weight` | 0.05         | price of a metre of camera travel                      |
+    | `travel_weight` | 0.05         | cost of a meter of camera travel                       |
     | `pose_noise`    | None         | `PoseNoise` or (degrees, metres): standard deviation   |
     |                 |              | of the error in the relative camera pose that the      |
-    |                 |              | estimator is told; the pictures and the truth stay     |
+    |                 |              | estimator is given; the images and the truth stay      |
     | `randomization` | None         | a `Randomization` of lights, textures and sensor;      |
     |                 |              | None: its defaults                                     |
     | `image_size`    | 64           | side of the observation's crop, 36 to 256 pixels       |
-    | `resolution`    | (480, 640)   | height and width of the camera's pictures; of other    |
+    | `resolution`    | (480, 640)   | height and width of the camera's images; of other      |
     |                 |              | proportions, they show the middle of LineMOD's         |
     | `carrier`       | None         | what moves the camera (`carrier.py`); None: it flies   |
     | `render_mode`   | None         | `"rgb_array"`, or `"human"`: a window (with pygame and |

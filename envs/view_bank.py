@@ -1,8 +1,8 @@
 """Recorded decisions: for each of many scenes, what every candidate for a second view led to.
 
-A step of the live environment renders a picture and runs the estimator, a fifth of a second. A bank
-holds the outcome of every candidate view of its scenes, so that a policy learns and is measured on
-them at thousands of steps a second. One file, compressed, with a checksum; nothing in it is code.
+A step of the live environment renders an image and runs the estimator, a fifth of a second. A bank
+holds the outcome of every candidate view of its scenes, so that a policy is trained and evaluated
+on them at thousands of steps a second. One file, compressed, with a checksum and without code.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from ..pose_estimator.estimate import PoseEstimate
 from ..pose_estimator.results import commit, versions, write_atomically
+from .observation import Observation
 
 FORMAT = "two-view-pose view bank 1"
 
@@ -36,9 +38,9 @@ class BankHeader:
         source: "simulation", or the name of the dataset of photographs.
         scene: kind of the scenes, or the dataset's split.
         object_names: in the order of the observation's one-hot.
-        diameters: of these objects, metres.
-        candidate_views: (azimuth offset, elevation) of each slot, degrees.
-        estimator: whose answers were recorded.
+        diameters: of these objects, meters.
+        candidate_views: (azimuth offset, elevation) of each slot (index of a candidate), degrees.
+        estimator: whose estimates were recorded.
         seed: of the scenes.
         settings: what else the scenes were made with, plain data.
         versions: package versions at the time of writing.
@@ -111,8 +113,8 @@ class ViewBank:
         return len(self.object_index)
 
     @property
-    def answered(self) -> bool:
-        """Whether the estimator was asked about the second views."""
+    def has_estimates(self) -> bool:
+        """Whether poses were estimated from the second views."""
         return bool(np.isfinite(self.second_error).all())
 
     @property
@@ -120,7 +122,7 @@ class ViewBank:
         """Number of candidate views of each scene."""
         return self.second_error.shape[1]
 
-    def part(self, scenes: slice | np.ndarray) -> ViewBank:
+    def subset(self, scenes: slice | np.ndarray) -> ViewBank:
         """The bank of some of the scenes."""
         return _from_arrays(self.header, {k: a[scenes] for k, a in self.arrays().items()})
 
@@ -134,9 +136,38 @@ class ViewBank:
 _PLAIN = tuple(f.name for f in fields(ViewBank) if f.name not in ("header", "first", "second"))
 
 
-def joined(header: BankHeader, parts: Sequence[Mapping[str, np.ndarray]]) -> ViewBank:
+def concatenate(header: BankHeader, parts: Sequence[Mapping[str, np.ndarray]]) -> ViewBank:
     """One bank of the arrays of many."""
     return _from_arrays(header, {k: np.concatenate([p[k] for p in parts]) for k in parts[0]})
+
+
+def scene_arrays(
+    first: Observation,
+    estimate: PoseEstimate,
+    seconds: Sequence[tuple[Observation, np.ndarray, np.ndarray, float]],
+) -> dict[str, np.ndarray]:
+    """The arrays of one scene that follow from what the robot knows.
+
+    Args:
+        first: observation after the reference view.
+        estimate: from the reference view.
+        seconds: for each slot the observation, camera (4, 4), estimate (4, 4) and travel (m).
+
+    Returns:
+        Arrays as in :class:`ViewBank`, for one scene.
+    """
+    observations, cameras, estimates, travel = zip(*seconds, strict=True)
+    arrays = {f"first/{key}": first[key][None] for key in FIRST_FIELDS}
+    for key in SECOND_FIELDS:
+        arrays[f"second/{key}"] = np.stack([o[key] for o in observations])[None]
+    return arrays | {
+        "T_cam_obj": estimate.T_cam_obj[None],
+        "keypoints": estimate.keypoints[None].astype(np.float32),
+        "covariance": estimate.keypoint_covariance[None].astype(np.float32),
+        "second_T_cam_world": np.stack(cameras)[None],
+        "second_T_cam_obj": np.stack(estimates)[None],
+        "travel": np.array([travel], np.float32),
+    }
 
 
 def write_bank(path: str | os.PathLike[str], bank: ViewBank) -> None:
@@ -144,10 +175,20 @@ def write_bank(path: str | os.PathLike[str], bank: ViewBank) -> None:
     arrays = bank.arrays()
     header = asdict(bank.header) | {"digest": _digest(arrays)}
     text = json.dumps(header, sort_keys=True, allow_nan=False).encode()
+    write_arrays(path, {"header": np.frombuffer(text, np.uint8), **arrays})
+
+
+def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
+    """Writes arrays, such as those of one scene; the path holds all of them or nothing."""
     stream = io.BytesIO()
-    stored: dict[str, Any] = {"header": np.frombuffer(text, np.uint8), **arrays}
-    np.savez_compressed(stream, **stored)
+    np.savez_compressed(stream, **arrays)
     write_atomically(path, stream.getvalue())
+
+
+def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+    """Reads what :func:`write_arrays` wrote."""
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
 
 
 def read_bank(path: str | os.PathLike[str]) -> ViewBank:
@@ -155,7 +196,7 @@ def read_bank(path: str | os.PathLike[str]) -> ViewBank:
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: if it is no bank, or a damaged one.
+        ValueError: if it is not a view bank file, or corrupted.
     """
     source = Path(path)
     if not source.is_file():
@@ -164,8 +205,7 @@ def read_bank(path: str | os.PathLike[str]) -> ViewBank:
             f"{source}` records one"
         )
     try:
-        with np.load(source, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = read_arrays(source)
         content = json.loads(bytes(arrays.pop("header")))
     except (zipfile.BadZipFile, OSError, KeyError, ValueError, EOFError) as error:
         raise ValueError(f"{source} is not a whole view bank: {error}") from error

@@ -16,72 +16,75 @@ import sys
 import threading
 import types
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Protocol
 
+from .freed_memory import release_unused_memory
 
-class Maker(Protocol):
+
+class SceneTask(Protocol):
     """Makes scenes by their numbers, in one process."""
 
     def make(self, scene_id: int) -> None:
         """Makes a scene and writes it."""
         ...
 
-
-class MakerConfig(Protocol):
-    """What a pool needs to know; it travels to the workers.
-
-    Attributes:
-        workers: processes.
-        worker_memory: gigabytes from which on a worker is replaced; 0: never.
-    """
-
-    @property
-    def workers(self) -> int: ...
-    @property
-    def worker_memory(self) -> float: ...
-
-    def maker(self) -> Maker:
-        """A maker, made where it works."""
+    def close(self) -> None:
+        """Frees the GL context."""
         ...
 
 
-_QUIET_THREADS = {
+_SINGLE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "LP_NUM_THREADS": "0",  # llvmpipe draws in the worker itself: workers are the parallelism
 }
-"""What the workers' environment says unless the caller's own says otherwise."""
 
-TRIES = 3
-"""How often a scene is begun whose workers die."""
-
-
-def quiet_threads() -> dict[str, str]:
-    """What a worker's environment is to say of threads, but for what the caller's own says."""
-    return {name: value for name, value in _QUIET_THREADS.items() if name not in os.environ}
+MAX_RETRIES = 3
+"""How many workers may die on one scene."""
 
 
-def make_scenes(config: MakerConfig, scene_ids: Iterable[int]) -> Iterator[int]:
+def run_scenes(
+    make_task: Callable[[], SceneTask],
+    scene_ids: Sequence[int],
+    workers: int,
+    worker_memory: float = 0.0,
+) -> Iterator[int]:
     """Makes scenes and yields the number of each that is ready.
 
+    Args:
+        make_task: called once in each worker; it is pickled. With one worker, or one scene, this
+            process is the worker.
+        scene_ids: which scenes.
+        workers: processes.
+        worker_memory: gigabytes from which on a worker is replaced; 0: never.
+
     Raises:
-        ChildProcessError: if the workers of one scene died ``TRIES`` times.
+        ChildProcessError: if ``MAX_RETRIES`` workers died on one scene.
     """
+    if not scene_ids:
+        return
+    if workers == 1 or len(scene_ids) == 1:
+        with closing(make_task()) as task:
+            for scene_id in scene_ids:
+                task.make(scene_id)
+                release_unused_memory()
+                yield scene_id
+        return
     waiting = deque(scene_ids)
-    added = quiet_threads()
-    os.environ.update(added)  # the workers inherit it
     deaths: Counter[int] = Counter()
     running: dict[Future[int], tuple[ProcessPoolExecutor, int]] = {}
-    idle = [_new_worker(config) for _ in range(min(config.workers, len(waiting)))]
+    idle = [new_worker() for _ in range(min(workers, len(waiting)))]
     try:
         while waiting or running:
             while waiting and idle:
                 worker, scene_id = idle.pop(), waiting.popleft()
-                running[worker.submit(make_one, scene_id)] = worker, scene_id
+                with single_thread_env():
+                    future = worker.submit(_make_scene, make_task, scene_id)
+                running[future] = worker, scene_id
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 worker, scene_id = running.pop(future)
                 idle.append(worker)
@@ -89,22 +92,20 @@ def make_scenes(config: MakerConfig, scene_ids: Iterable[int]) -> Iterator[int]:
                     memory = future.result()
                 except BrokenProcessPool:
                     deaths[scene_id] += 1
-                    if deaths[scene_id] == TRIES:
+                    if deaths[scene_id] == MAX_RETRIES:
                         raise ChildProcessError(
-                            f"{TRIES} workers died on scene {scene_id}. Often memory is why: try "
-                            "fewer workers, or one, which shows the error"
+                            f"{MAX_RETRIES} workers died on scene {scene_id}, usually out of "
+                            "memory: try fewer workers, or one, which shows the error"
                         ) from None
                     waiting.appendleft(scene_id)
-                    idle[-1] = _replace(worker, config)
+                    idle[-1] = _replace(worker)
                     continue
-                if 0 < config.worker_memory * 1e9 < memory and waiting:
-                    idle[-1] = _replace(worker, config)
+                if 0 < worker_memory * 1e9 < memory:
+                    idle[-1] = _replace(worker)
                 yield scene_id
     finally:
         for worker in [*idle, *(worker for worker, _ in running.values())]:
             worker.shutdown(cancel_futures=True)
-        for name in added:
-            del os.environ[name]
 
 
 def memory_in_use() -> int:
@@ -118,46 +119,30 @@ def memory_in_use() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
-_maker: Maker | None = None
-
-
-def start_worker(config: MakerConfig) -> None:
-    """In a worker: makes ready to make scenes."""
-    global _maker
-    import cv2
-
-    cv2.setNumThreads(1)
-    _maker = config.maker()
-
-
-def make_one(scene_id: int) -> int:
-    """In a worker: makes a scene; returns the bytes of memory that the worker holds."""
-    assert _maker is not None
-    _maker.make(scene_id)
-    return memory_in_use()
-
-
-def _new_worker(config: MakerConfig) -> ProcessPoolExecutor:
-    """A worker; its process starts with its first scene."""
+def new_worker() -> ProcessPoolExecutor:
+    """An executor of one process, which is spawned with its first task and ends with its parent."""
     spawn = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(1, spawn, initializer=_start_child, initargs=(config,))
+    return ProcessPoolExecutor(1, spawn, initializer=_start_child)
 
 
-def _replace(worker: ProcessPoolExecutor, config: MakerConfig) -> ProcessPoolExecutor:
-    """A fresh worker, once the old one has given back its memory."""
-    worker.shutdown()
-    return _new_worker(config)
+@contextmanager
+def single_thread_env() -> Iterator[None]:
+    """Processes that start in here compute and draw with one thread each.
 
-
-def _start_child(config: MakerConfig) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it and ends its workers
-    leave_with_parent()
-    start_worker(config)
+    What the caller's own environment says of threads stays.
+    """
+    added = {name: value for name, value in _SINGLE_THREAD.items() if name not in os.environ}
+    os.environ.update(added)
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
 
 
 @contextmanager
 def without_script() -> Iterator[None]:
-    """Processes that start in here do not run the caller's script anew, as spawned ones do.
+    """Processes that start in here do not run the caller's script again, as spawned ones do.
 
     So the script need not say ``if __name__ == "__main__"``; but nothing that it defines may go to
     them.
@@ -170,12 +155,35 @@ def without_script() -> Iterator[None]:
         sys.modules["__main__"] = script
 
 
-def leave_with_parent() -> None:
-    """In a worker: ends it when its parent is killed, for which a queue would wait for ever."""
-    threading.Thread(target=_wait_for_parent, daemon=True).start()
+_task: SceneTask | None = None
 
 
-def _wait_for_parent() -> None:
+def _make_scene(make_task: Callable[[], SceneTask], scene_id: int) -> int:
+    """In a worker: makes a scene; returns the bytes of memory that the worker holds."""
+    global _task
+    if _task is None:
+        _task = make_task()
+    _task.make(scene_id)
+    release_unused_memory()
+    return memory_in_use()
+
+
+def _replace(worker: ProcessPoolExecutor) -> ProcessPoolExecutor:
+    """A fresh worker, once the old one has given back its memory."""
+    worker.shutdown()
+    return new_worker()
+
+
+def _start_child() -> None:
+    import cv2
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it and ends its workers
+    # A worker whose parent is killed would wait for tasks for ever.
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
+    cv2.setNumThreads(1)
+
+
+def _exit_with_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

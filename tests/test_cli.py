@@ -26,7 +26,7 @@ OPTIONS = {
     "train-estimator": "data out objects split stages init seed",
     "evaluate": "method weights preset solver roi scene objects data pairs csv score device json",
     "estimate": "reference second K relative-pose object method depth weights device out json",
-    "record-bank": "out scenes scene seed objects estimator answers data device workers verify",
+    "record-bank": "out scenes scene seed objects estimator estimates data device workers verify",
     "train-agent": "algo bank pretrained-extractor visibility-bank record steps out env scene "
     "seed device json",
     "evaluate-agent": "policy scene episodes seed seeds bank figures device json",

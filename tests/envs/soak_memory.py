@@ -1,7 +1,7 @@
 """Does memory stay flat while the generator renders? Thousands of frames in one process.
 
 ``python tests/envs/soak_memory.py --frames 5000`` makes scenes of all kinds with one
-``SceneMaker``, each with depth, masks and annotations, and throws the files away. It is no test:
+``SceneWriter``, each with depth, masks and annotations, and throws the files away. It is no test:
 how long it takes and what the driver keeps differ between machines. What is a leak shows in the
 slope after the warm-up, in which three worlds are compiled. Memory may grow in steps of some
 megabytes, whose place in the run sways the slope: look at the curve too.
@@ -12,15 +12,16 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import os
 import shutil
 import tempfile
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+from two_view_pose.envs.freed_memory import release_unused_memory
 from two_view_pose.envs.generate import GenerateConfig
-from two_view_pose.envs.worker_pool import memory_in_use, quiet_threads
+from two_view_pose.envs.worker_pool import memory_in_use, single_thread_env
 
 VIEWS = 4
 
@@ -60,9 +61,8 @@ def summary(frames: np.ndarray, memory: np.ndarray, warm_up: int) -> dict[str, f
 
 def soak(options: argparse.Namespace, folder: Path, frames: list[int], memory: list[int]) -> None:
     """Makes scenes; adds numbers of frames, and the bytes held when these had been made."""
-    os.environ.update(quiet_threads())  # as in a worker
     import cv2
-    from two_view_pose.envs.scene_writer import SceneMaker
+    from two_view_pose.envs.scene_writer import SceneWriter
     from two_view_pose.pose_estimator.bop_writer import scene_folder
 
     cv2.setNumThreads(1)
@@ -78,9 +78,10 @@ def soak(options: argparse.Namespace, folder: Path, frames: list[int], memory: l
         seed=options.seed,
     )
     start = time.perf_counter()
-    with SceneMaker(config) as maker:
+    with single_thread_env(), closing(SceneWriter(config)) as writer:  # as in a worker
         for scene_id in range(scenes):
-            maker.make(scene_id)
+            writer.make(scene_id)
+            release_unused_memory()
             shutil.rmtree(scene_folder(config.out, config.split, scene_id))
             made = VIEWS * (scene_id + 1)
             if made // options.every > (made - VIEWS) // options.every:

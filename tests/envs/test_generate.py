@@ -13,7 +13,7 @@ from two_view_pose.assets import load_object, mesh_import
 from two_view_pose.envs.annotation import silhouette_window
 from two_view_pose.envs.camera import CameraRange, view_sphere_pose
 from two_view_pose.envs.generate import GenerateConfig, generate
-from two_view_pose.envs.scene_writer import scaled_intrinsics
+from two_view_pose.envs.intrinsics import scaled_intrinsics
 from two_view_pose.envs.view_spread import spread_views, viewing_angle
 from two_view_pose.pose_estimator import bop
 from two_view_pose.pose_estimator.bop_pairs import read_pairs
@@ -134,6 +134,17 @@ def test_a_resumed_run_and_several_workers_give_the_same_bytes(config, images, t
     assert kept.stat().st_mtime_ns == time_kept
 
 
+def test_shards_make_the_whole(config, images, tmp_path):
+    shards = [replace(config, out=tmp_path, shard=(i, 2)) for i in (1, 0)]
+    generate(shards[0])
+    scenes = [f"{config.split}/{path.name}" for path in (tmp_path / config.split).iterdir()]
+    assert sorted(scenes) == [f"{config.split}/{i:06d}" for i in (1, 3)]
+    assert not (tmp_path / "SHA256SUMS").exists()
+    generate(shards[1])
+    generate(replace(config, out=tmp_path))
+    assert file_bytes(tmp_path) == file_bytes(config.out)
+
+
 def test_other_settings_in_the_same_folder_are_refused(config, images):
     with pytest.raises(ValueError, match="seed is 5 there, 6 here"):
         generate(replace(config, seed=6))
@@ -144,6 +155,7 @@ def test_other_settings_in_the_same_folder_are_refused(config, images):
     [
         ({"scenes": 0}, "scenes must be at least 1, got 0"),
         ({"workers": 0}, "workers must be at least 1"),
+        ({"shard": (2, 2)}, "shard must be K and N with 0 <= K < N"),
         ({"width": 8}, "width must be 16 to 4096"),
         ({"scene": "messy"}, "scene must be one of linemod, .*, got 'messy'"),
         ({"view_angles": (40.0, 10.0)}, "view_angles must rise"),
@@ -159,12 +171,12 @@ def test_wrong_settings_are_named(tmp_path, change, message):
 def test_distractors_stand_around_and_are_never_the_target(config, tmp_path):
     changed = replace(
         config, out=tmp_path, objects=("ape",), distractors=("lamp", "iron"), scenes=3, views=2,
-        depth=False, scene="all", look="busy",
+        depth=False, scene="all", domain_randomization="strong",
     )  # fmt: skip
     generate(changed)
     manifest = json.loads((tmp_path / "manifest.json").read_text())["settings"]
     assert manifest["objects"] == ["ape"] and manifest["distractors"] == ["lamp", "iron"]
-    assert manifest["look"] == "busy"
+    assert manifest["domain_randomization"] == "strong"
     dataset = bop.read_dataset(tmp_path, changed.split)
     shown = [{a.obj_id for a in image.annotations} for image in dataset]
     numbers = {name: load_object(name).obj_id for name in ("ape", "lamp", "iron")}
@@ -175,8 +187,8 @@ def test_distractors_stand_around_and_are_never_the_target(config, tmp_path):
     generate(changed)  # the same command finds nothing to do
     with pytest.raises(ValueError, match=r"distractors is \['lamp', 'iron'\] there, \[\] here"):
         generate(replace(changed, distractors=()))
-    with pytest.raises(ValueError, match="look is 'busy' there, 'tidy' here"):
-        generate(replace(changed, look="tidy"))
+    with pytest.raises(ValueError, match="domain_randomization is 'strong' there, 'default' here"):
+        generate(replace(changed, domain_randomization="default"))
     with pytest.raises(ValueError, match="two objects are called 'ape'"):
         generate(replace(changed, out=tmp_path / "other", distractors=("ape",)))
 
@@ -212,9 +224,14 @@ def test_second_views_keep_angles_elevation_and_distance():
 
 def test_scaled_camera_sees_the_same_field():
     height, width = LINEMOD_IMAGE_SIZE
-    np.testing.assert_allclose(scaled_intrinsics(height, width), LINEMOD_K)
+    for fit in ("crop", "stretch"):
+        np.testing.assert_array_equal(scaled_intrinsics((height, width), fit), LINEMOD_K)
     half = crop_matrix(np.array([(width - 1) / 2, (width - 1) / 2]), width, width // 2) @ LINEMOD_K
-    np.testing.assert_allclose(scaled_intrinsics(height, width // 2)[0], half[0])
+    narrow = scaled_intrinsics((height, width // 2), "stretch")
+    np.testing.assert_allclose(narrow[0], half[0])
+    assert narrow[1, 1] == LINEMOD_K[1, 1]
+    square = scaled_intrinsics((height, height), "crop")  # loses 80 columns on either side
+    np.testing.assert_allclose(square, LINEMOD_K - [[0, 0, 80], [0, 0, 0], [0, 0, 0]])
 
 
 def test_silhouette_window_reaches_beyond_the_picture_but_not_far():

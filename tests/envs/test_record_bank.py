@@ -8,12 +8,13 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from two_view_pose.envs import bank_recorder
 from two_view_pose.envs import record_bank as module
 from two_view_pose.envs.episode import episode_seed
 from two_view_pose.envs.generate import GenerateConfig, generate
 from two_view_pose.envs.real_bank import level_camera
-from two_view_pose.envs.record_bank import RecordBankConfig, part_path, record_bank
-from two_view_pose.envs.view_bank import read_bank
+from two_view_pose.envs.record_bank import RecordBankConfig, record_bank
+from two_view_pose.envs.view_bank import read_bank, write_arrays
 from two_view_pose.pose_estimator.bop import read_dataset
 from two_view_pose.pose_estimator.geometry import invert
 
@@ -59,31 +60,40 @@ def test_a_finished_bank_is_not_recorded_again(
             record_bank(other)
 
 
-def test_a_killed_run_goes_on(config: RecordBankConfig, tmp_path: Path) -> None:
+def test_a_killed_run_resumes(config: RecordBankConfig, tmp_path: Path) -> None:
     made: list[int] = []
 
     class Recorder:
+        def __init__(self, config: RecordBankConfig) -> None:
+            pass
+
         def make(self, scene_id: int) -> None:
             if len(made) == 1:
                 raise KeyboardInterrupt
             made.append(scene_id)
-            bank = read_bank(config.out).part(slice(scene_id, scene_id + 1))
-            module.write_part(part_path(killed, scene_id), bank.arrays())
+            scene = bank.subset(slice(scene_id, scene_id + 1))
+            write_arrays(killed.part_path(scene_id), scene.arrays())
+
+        def close(self) -> None:
+            pass
 
     killed = replace(config, out=tmp_path / "again.npz")
+    bank = read_bank(config.out)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RecordBankConfig, "maker", lambda self: Recorder())
+        patch.setattr(bank_recorder, "BankRecorder", Recorder)
         with pytest.raises(KeyboardInterrupt):
             record_bank(killed)
         assert made == [0] and not killed.out.exists()
-        with pytest.raises(ValueError, match="scenes of another bank, with other seed"):
+        with pytest.raises(ValueError, match="other settings: seed is 5 there, 9 here"):
             record_bank(replace(killed, seed=9))
         made.clear()
-        made_before = part_path(killed, 0).stat().st_mtime_ns
+        # Marks part 0: if it were recorded again, the mark would be lost.
+        part = bank.subset(slice(0, 1)).arrays() | {"scene_seed": np.array([-1])}
+        write_arrays(killed.part_path(0), part)
         record_bank(replace(killed, workers=1))
         assert made == [1]
-    assert made_before
-    again, once = read_bank(killed.out).arrays(), read_bank(config.out).arrays()
+    again, once = read_bank(killed.out).arrays(), bank.arrays()
+    assert again.pop("scene_seed").tolist() == [-1, once.pop("scene_seed")[1]]
     for name, array in once.items():
         np.testing.assert_array_equal(again[name], array)
 

@@ -36,9 +36,9 @@ def test_a_step_is_what_was_recorded(make_bank: Make) -> None:
             bank.first_error[scene] * diameter
         )
         assert set(info["ground_truth"]) == {"visibility", "add_first", "success"}
-        peeked = env.unwrapped.peek(5)
+        simulated = env.unwrapped.simulate_action(5)
         second, reward, terminated, truncated, info = env.step(5)
-        assert peeked[1] == reward and terminated and not truncated
+        assert simulated[1] == reward and terminated and not truncated
         expected = -min(bank.second_error[scene, 5], 1.0) - 0.1 * bank.travel[scene, 5]
         assert reward == pytest.approx(expected)
         assert info["ground_truth"]["add_second"] == pytest.approx(
@@ -75,13 +75,13 @@ def test_a_box_action_takes_the_nearest_view(make_bank: Make) -> None:
             np.testing.assert_allclose(chosen, bank.second_T_cam_world[scene, slot])
 
 
-def test_scenes_are_drawn_from_the_seed_or_come_in_turn(make_bank: Make) -> None:
+def test_scenes_are_drawn_from_the_seed_or_come_in_order(make_bank: Make) -> None:
     bank = make_bank(6)
     env = gym.make(REPLAY, bank=bank, scenes=(2, 6))
     drawn = [env.reset(seed=s)[1]["scene_seed"] for s in range(40)]
     assert drawn == [env.reset(seed=s)[1]["scene_seed"] for s in range(40)]
     assert set(drawn) == set(bank.scene_seed[2:].tolist())
-    env = gym.make(REPLAY, bank=bank, scenes=(2, 6), in_turn=True)
+    env = gym.make(REPLAY, bank=bank, scenes=(2, 6), shuffle=False)
     turn = [env.reset()[1]["scene_seed"] for _ in range(8)]
     assert turn == [*bank.scene_seed[2:].tolist()] * 2
 

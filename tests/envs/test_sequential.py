@@ -63,15 +63,15 @@ def test_views_are_counted_from_the_reference(env: Any) -> None:
     np.testing.assert_array_equal(env.T_newest_world, before[23])
 
 
-def test_peeking_leaves_the_episode_as_it_is(env: Any) -> None:
+def test_simulated_actions_leave_the_episode_unchanged(env: Any) -> None:
     env.reset(seed=4)
     env.step(1)
-    peeked = env.peek(7)
-    assert env.peek(7)[1] == peeked[1] and len(env.views) == 2
+    simulated = env.simulate_action(7)
+    assert env.simulate_action(7)[1] == simulated[1] and len(env.views) == 2
     observation, reward, *_ = env.step(7)
-    assert reward == peeked[1]
+    assert reward == simulated[1]
     for key, value in observation.items():
-        np.testing.assert_array_equal(value, peeked[0][key])
+        np.testing.assert_array_equal(value, simulated[0][key])
 
 
 def test_wrong_arguments() -> None:

@@ -18,7 +18,7 @@ from estimators import (
     relative,
 )
 from two_view_pose.envs.carrier import PoseNoise, camera_centre
-from two_view_pose.envs.observation import SURROUNDINGS
+from two_view_pose.envs.observation import CROP_SCALE
 from two_view_pose.envs.two_view_pose import CANDIDATE_VIEWS, TwoViewPoseDiscreteEnv
 from two_view_pose.pose_estimator.geometry import invert, transform
 from workers import memory_of_episodes
@@ -207,7 +207,7 @@ def test_camera_observation(make):
 
 def test_crop_shows_the_detection_and_what_is_around_it(make):
     estimator = ConstantEstimator()
-    estimator.roi = replace(estimator.roi, side=60 / SURROUNDINGS)
+    estimator.roi = replace(estimator.roi, side=60 / CROP_SCALE)
     env = make(estimator=estimator, image_size=60)  # the side of the crop: one to one
     observation, _ = env.reset(seed=0)
     picture = env.views[0].image
@@ -235,17 +235,17 @@ def test_pose_noise_reaches_the_estimator_only(make):
 
 
 @pytest.mark.parametrize("batched", [True, False])
-def test_peeking_at_many_views_is_stepping_to_each(make, batched):
+def test_simulated_actions_are_steps(make, batched):
     estimator = BatchedEstimator() if batched else TableEstimator()
     env = make(TwoViewPoseDiscreteEnv, estimator=estimator, pose_noise=(0.5, 0.003))
     env.reset(seed=6)
-    assert env.peek_all([]) == []
-    peeked = env.peek_all(range(12))
+    assert env.simulate_actions([]) == []
+    simulated = env.simulate_actions(range(12))
     if batched:
         assert estimator.batches == [(2,) * 8, (2,) * 4]
     assert len(env.views) == 1  # the episode is as it was
-    for action, (observation, reward, *ends, info) in enumerate(peeked):
-        once = env.peek(action)
+    for action, (observation, reward, *ends, info) in enumerate(simulated):
+        once = env.simulate_action(action)
         stepped = env.step(action)
         env.reset(seed=6)
         for other in (once, stepped):

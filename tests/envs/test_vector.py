@@ -1,5 +1,6 @@
-"""Lanes of a vector environment against single environments, and what goes wrong in them."""
+"""Sub-environments of a vector environment against single ones, and what goes wrong in them."""
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -9,20 +10,24 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from estimators import BatchedEstimator, ConstantEstimator, TableEstimator
+from two_view_pose.envs.randomization import Randomization
+from two_view_pose.envs.scene import SceneConfig
 from two_view_pose.envs.sequential import TwoViewPoseSequentialEnv
+from two_view_pose.envs.studio import SceneRequest, SceneSimulator
+from two_view_pose.envs.studio_workers import SimulatorWorkers
 from two_view_pose.envs.two_view_pose import TwoViewPoseDiscreteEnv, TwoViewPoseEnv
 from two_view_pose.envs.vector import TwoViewPoseVectorEnv
 
-LANES = 3
+ENVS = 3
 
 
 @pytest.fixture
 def make_vector(objects):
     made = []
 
-    def build(kind=TwoViewPoseEnv, lanes=LANES, **kwargs) -> TwoViewPoseVectorEnv:
+    def build(env_cls=TwoViewPoseEnv, num_envs=ENVS, **kwargs) -> TwoViewPoseVectorEnv:
         small = {"objects": objects, "estimator": None, "resolution": (120, 160)}
-        made.append(TwoViewPoseVectorEnv(kind, lanes, **{**small, **kwargs}))
+        made.append(TwoViewPoseVectorEnv(env_cls, num_envs, **{**small, **kwargs}))
         return made[-1]
 
     yield build
@@ -40,42 +45,42 @@ def check_equal(one, other):
         np.testing.assert_array_equal(one, other)
 
 
-def lane_of(infos, lane):
-    """One lane's info, as the single environment gives it."""
+def info_of(infos, i):
+    """One sub-environment's info, as the single environment gives it."""
     return {
-        key: lane_of(value, lane) if isinstance(value, dict) else value[lane]
+        key: info_of(value, i) if isinstance(value, dict) else value[i]
         for key, value in infos.items()
         if not key.startswith("_")
     }
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_every_lane_is_a_single_environment(make_vector, make, workers):
+def test_every_sub_environment_is_a_single_environment(make_vector, make, workers):
     estimator = BatchedEstimator()
     options = {"scene": "clutter", "pose_noise": (0.5, 0.003), "image_size": 40}
     vector = make_vector(workers=workers, estimator=estimator, **options)
     rng = np.random.default_rng(0)
-    actions = rng.uniform(-1, 1, (2, LANES, 3)).astype(np.float32)
+    actions = rng.uniform(-1, 1, (2, ENVS, 3)).astype(np.float32)
     first, first_info = vector.reset(seed=7)
     steps = [vector.step(a) for a in actions]
-    for lane in range(LANES):
+    for i in range(ENVS):
         single = make(estimator=TableEstimator(), **options)
-        observation, info = single.reset(seed=7 + lane)
-        check_equal({key: value[lane] for key, value in first.items()}, observation)
-        check_equal(lane_of(first_info, lane), info)
+        observation, info = single.reset(seed=7 + i)
+        check_equal({key: value[i] for key, value in first.items()}, observation)
+        check_equal(info_of(first_info, i), info)
         for now, (after, rewards, terminated, truncated, infos) in zip(actions, steps, strict=True):
-            final, reward, *_, info = single.step(now[lane])
-            assert rewards[lane] == reward and terminated[lane] and not truncated[lane]
-            check_equal(infos["final_obs"][lane], final)
-            check_equal(lane_of(infos["final_info"], lane), info)
+            final, reward, *_, info = single.step(now[i])
+            assert rewards[i] == reward and terminated[i] and not truncated[i]
+            check_equal(infos["final_obs"][i], final)
+            check_equal(info_of(infos["final_info"], i), info)
             observation, info = single.reset()
-            check_equal({key: value[lane] for key, value in after.items()}, observation)
+            check_equal({key: value[i] for key, value in after.items()}, observation)
             rest = {k: v for k, v in infos.items() if not k.startswith("final")}
-            check_equal(lane_of(rest, lane), info)
-    # Lanes are estimated together, in two parts, first with one view and then with two.
+            check_equal(info_of(rest, i), info)
+    # They are estimated together, in two parts, first with one view and then with two.
     assert sorted(estimator.batches[:2]) == [(1,), (1, 1)]
     assert sorted(estimator.batches[2:4]) == [(2,), (2, 2)]
-    assert sum(map(len, estimator.batches)) == LANES * (1 + 2 * 2)
+    assert sum(map(len, estimator.batches)) == ENVS * (1 + 2 * 2)
 
 
 def test_an_estimator_that_takes_one_at_a_time_will_do(make_vector):
@@ -86,22 +91,20 @@ def test_an_estimator_that_takes_one_at_a_time_will_do(make_vector):
     assert [len(views) for views, _ in estimator.calls] == [1] * 3 + [2] * 3 + [1] * 3
 
 
-def test_frames_are_shared_and_not_copied(make_vector):
+def test_images_of_an_episode_stay_while_the_next_begins(make_vector):
     vector = make_vector(workers=1, estimator=TableEstimator())
     vector.reset(seed=0)
     shown = [views[0].image for views in vector.get_attr("views")]
-    assert all(np.shares_memory(image, vector._workers.pictures) for image in shown)
     before = [image.copy() for image in shown]
-    vector.step(np.zeros((LANES, 3), np.float32))
-    # The pictures of an episode stay while the next one begins.
+    vector.step(np.zeros((ENVS, 3), np.float32))
     for image, copy in zip(shown, before, strict=True):
         np.testing.assert_array_equal(image, copy)
 
 
-def test_a_wrong_action_moves_no_lane(make_vector):
+def test_a_wrong_action_moves_no_camera(make_vector):
     vector = make_vector(workers=1)
     vector.reset(seed=0)
-    actions = np.zeros((LANES, 3), np.float32)
+    actions = np.zeros((ENVS, 3), np.float32)
     wrong = actions.copy()
     wrong[2, 1] = np.nan
     with pytest.raises(ValueError, match="action"):
@@ -123,7 +126,7 @@ def test_it_goes_on_after_an_estimator_failed(make_vector, objects):
     expected, _ = vector.reset(seed=3)
     estimator.broken = True
     with pytest.raises(RuntimeError, match="out of ideas"):
-        vector.step(np.zeros((LANES, 3), np.float32))
+        vector.step(np.zeros((ENVS, 3), np.float32))
     estimator.broken = False
     again, _ = vector.reset(seed=3)
     check_equal(again, expected)
@@ -132,26 +135,41 @@ def test_it_goes_on_after_an_estimator_failed(make_vector, objects):
 def test_a_worker_that_dies_is_named(make_vector):
     vector = make_vector(workers=1)
     vector.reset(seed=0)
-    os.kill(vector._workers._processes[0].pid, signal.SIGKILL)
-    with pytest.raises(ChildProcessError, match=r"code -9.*fewer workers"):
+    (worker,) = multiprocessing.active_children()
+    os.kill(worker.pid, signal.SIGKILL)
+    with pytest.raises(ChildProcessError, match=r"sub-environment 0 died.*fewer workers"):
         for _ in range(3):
-            vector.step(np.zeros((LANES, 3), np.float32))
-    with pytest.raises(ChildProcessError, match="code -9"):  # also of what it left unanswered
+            vector.step(np.zeros((ENVS, 3), np.float32))
+    with pytest.raises(ChildProcessError, match="sub-environment 0 died"):
         vector.reset(seed=0)
 
 
-def test_what_is_wrong_in_a_worker_is_raised_here(make_vector):
-    vector = make_vector(workers=1)
+def test_unknown_options_are_refused(make_vector):
+    vector = make_vector(workers=0)
     with pytest.raises(ValueError, match="unknown reset option"):
         vector.reset(options={"weather": "rain"})
-    studio = vector._studios[0]
-    with pytest.raises(ValueError, match="rigid"):
-        studio.shoot(np.zeros((4, 4)), 0)
+
+
+def test_errors_of_a_remote_simulator_are_raised_here(objects):
+    workers = SimulatorWorkers(1)
+    simulator = workers.add(objects, SceneConfig(), Randomization(), (36, 48))
+    with pytest.raises(ValueError, match="T_cam_world must"):
+        simulator.render(np.zeros((4, 4)), 0)
+    scene = simulator.reset(SceneRequest(3, "ball"))
+    assert scene.object_name == "ball" and scene.image.shape == (36, 48, 3)
+    local = SceneSimulator(objects, SceneConfig(), Randomization(), (36, 48))
+    np.testing.assert_array_equal(local.reset(SceneRequest(3, "ball")).image, scene.image)
+    local.close()
+    workers.close()
 
 
 @pytest.mark.parametrize(
     "arguments, text",
-    [({"lanes": 0}, "num_envs"), ({"workers": -1}, "workers"), ({"image_size": 3}, "image_size")],
+    [
+        ({"num_envs": 0}, "num_envs"),
+        ({"workers": -1}, "workers"),
+        ({"image_size": 3}, "image_size"),
+    ],
 )
 def test_arguments_are_checked(make_vector, arguments, text):
     with pytest.raises(ValueError, match=text):
@@ -163,18 +181,18 @@ def test_episodes_of_several_steps_are_refused(make_vector):
         make_vector(TwoViewPoseSequentialEnv)
 
 
-def test_one_seed_for_each_lane(make_vector):
+def test_one_seed_for_each_sub_environment(make_vector):
     vector = make_vector(workers=0)
-    with pytest.raises(ValueError, match="3 lanes"):
+    with pytest.raises(ValueError, match="3 envs"):
         vector.reset(seed=[1, 2])
 
 
-def test_what_the_lanes_are_can_be_asked(make_vector):
+def test_sub_environments_can_be_asked(make_vector):
     vector = make_vector(workers=0, render_mode="rgb_array", travel_weight=0.5)
     vector.reset(seed=0)
-    assert vector.get_attr("travel_weight") == (0.5,) * LANES
+    assert vector.get_attr("travel_weight") == (0.5,) * ENVS
     assert vector.call("visibility_from", vector.envs[0].T_cam_world)[0] >= 0
-    assert [frame.shape for frame in vector.render()] == [(664, 1360, 3)] * LANES
+    assert [frame.shape for frame in vector.render()] == [(664, 1360, 3)] * ENVS
 
 
 def test_square_pictures_show_the_middle(make):
@@ -215,7 +233,7 @@ envs.close()
 
 @pytest.mark.parametrize(("scene", "works"), [("SceneConfig()", True), ("Own()", False)])
 def test_a_script_without_a_guard(scene, works, tmp_path):
-    """Workers do not run it anew; where they must, for a class of its own, that is said."""
+    """Workers do not run it again; where they must, for a class of its own, that is said."""
     script = tmp_path / "script.py"
     script.write_text(SCRIPT.format(scene=scene))
     command = [sys.executable, os.fspath(script)]
@@ -223,4 +241,4 @@ def test_a_script_without_a_guard(scene, works, tmp_path):
     assert (done.returncode == 0) == works, done.stderr
     if not works:
         assert "if __name__ == '__main__'" in done.stderr
-        assert "ChildProcessError: the process that renders lane 0 ended" in done.stderr
+        assert "ChildProcessError: the process that renders sub-environment 0 died" in done.stderr

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from two_view_pose.envs.view_bank import ViewBank, joined, read_bank, write_bank
+from two_view_pose.envs.view_bank import ViewBank, concatenate, read_bank, write_bank
 
 Make = Callable[..., ViewBank]
 
@@ -32,8 +32,8 @@ def test_what_is_written_is_read(make_bank: Make, tmp_path: Path) -> None:
 
 def test_parts_make_the_whole(make_bank: Make) -> None:
     bank = make_bank(6)
-    parts = [bank.part(slice(0, 2)), bank.part(np.array([2, 3])), bank.part(slice(4, None))]
-    again = joined(bank.header, [part.arrays() for part in parts])
+    parts = [bank.subset(slice(0, 2)), bank.subset(np.array([2, 3])), bank.subset(slice(4, None))]
+    again = concatenate(bank.header, [part.arrays() for part in parts])
     for name, array in bank.arrays().items():
         np.testing.assert_array_equal(again.arrays()[name], array)
 

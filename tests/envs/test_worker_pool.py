@@ -7,37 +7,35 @@ import os
 import signal
 import threading
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
-import workers
+from scene_tasks import DyingTask, ProcessTask
 from small_sets import apes, file_bytes
-from two_view_pose.envs import worker_pool
 from two_view_pose.envs.generate import GenerateConfig, generate
+from two_view_pose.envs.worker_pool import memory_in_use, run_scenes
 
 
-@pytest.fixture(scope="module")
-def config(tmp_path_factory: pytest.TempPathFactory) -> GenerateConfig:
-    return apes(tmp_path_factory.mktemp("data") / "set", scenes=4)
-
-
+@pytest.mark.parametrize(("limit", "replaced"), [(1e-3, True), (0.0, False), (1e3, False)])
 def test_a_worker_that_holds_too_much_is_replaced(
-    config: GenerateConfig, tmp_path: Path, monkeypatch
+    tmp_path: Path, limit: float, replaced: bool
 ) -> None:
-    replaced = []
-    fresh = worker_pool._replace
-    monkeypatch.setattr(worker_pool, "_replace", lambda *a: replaced.append(1) or fresh(*a))
-    small = replace(config, out=tmp_path / "set", scenes=3, workers=2, worker_memory=1e-3)
-    generate(small)
-    assert replaced  # nothing runs in a megabyte
-    for scene in ("000000", "000001", "000002"):
-        one, other = (c.out / c.split / scene for c in (config, small))
-        assert file_bytes(one) == file_bytes(other)
+    made = list(run_scenes(partial(ProcessTask, tmp_path), range(5), 2, worker_memory=limit))
+    assert sorted(made) == list(range(5))
+    processes, threads = zip(*((tmp_path / str(i)).read_text().split() for i in made), strict=True)
+    assert (len(set(processes)) == 5) == replaced
+    assert set(threads) == {"1"} and os.getpid() not in map(int, processes)
 
 
-def test_a_worker_that_is_killed_is_replaced(config: GenerateConfig, tmp_path: Path) -> None:
+def test_one_worker_is_this_process(tmp_path: Path) -> None:
+    assert list(run_scenes(partial(ProcessTask, tmp_path), [3, 1], workers=1)) == [3, 1]
+    assert (tmp_path / "3").read_text().split()[0] == str(os.getpid())
+
+
+def test_a_worker_that_is_killed_is_replaced(tmp_path: Path) -> None:
+    config = apes(tmp_path / "once", scenes=4)
     again = replace(config, out=tmp_path / "set", workers=2)
     killed = []
 
@@ -56,21 +54,18 @@ def test_a_worker_that_is_killed_is_replaced(config: GenerateConfig, tmp_path: P
     assert file_bytes(again.out) == file_bytes(config.out)
 
 
-def test_a_scene_whose_workers_always_die_ends_the_run(config: GenerateConfig, monkeypatch) -> None:
-    spawn = multiprocessing.get_context("spawn")
-    monkeypatch.setattr(worker_pool, "_new_worker", lambda _: ProcessPoolExecutor(1, spawn))
-    monkeypatch.setattr(worker_pool, "make_one", workers.die)
-    with pytest.raises(ChildProcessError, match="3 workers died on scene 8"):
-        list(worker_pool.make_scenes(replace(config, workers=1), [8]))
+def test_a_scene_whose_workers_always_die_ends_the_run() -> None:
+    with pytest.raises(ChildProcessError, match=r"3 workers died on scene [89]"):
+        list(run_scenes(DyingTask, [8, 9], workers=2))
 
 
 def test_memory_is_what_this_process_holds() -> None:
-    before = worker_pool.memory_in_use()
+    before = memory_in_use()
     ballast = bytearray(os.urandom(1) * 200_000_000)
-    assert 150e6 < worker_pool.memory_in_use() - before < 400e6
+    assert 150e6 < memory_in_use() - before < 400e6
     assert len(ballast) == 200_000_000
 
 
 def test_a_limit_below_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="worker_memory must be at least 0 GB, got -1"):
+    with pytest.raises(ValueError, match="worker_memory must be at least 0, got -1"):
         GenerateConfig(tmp_path, worker_memory=-1.0)

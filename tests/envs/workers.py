@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
-import signal
 
 import numpy as np
 from two_view_pose import assets
@@ -24,12 +22,6 @@ def render_duck(queue: multiprocessing.Queue) -> None:
     with SceneRenderer(scene, 48, 64) as renderer:
         state = scene.reset(np.random.default_rng(0), "duck")
         queue.put(renderer.render(state.T_cam_world).rgb)
-
-
-def die(scene_id: int) -> int:
-    """Ends the process as a lack of memory would."""
-    os.kill(os.getpid(), signal.SIGKILL)
-    return scene_id
 
 
 def memory_of_episodes(objects: dict[str, ObjectModel], episodes: int, every: int) -> list[int]:

@@ -178,10 +178,9 @@ def test_new_features_make_the_cascade_on_the_old_ones_useless(
 
 
 def test_the_header_says_how_the_data_was_made(tmp_path: Path):
-    from two_view_pose.envs.dataset_folder import claim_folder
-    from two_view_pose.envs.generate import GenerateConfig
+    from two_view_pose.envs.generate import GenerateConfig, write_manifest
 
-    claim_folder(GenerateConfig(out=tmp_path / "mine", scenes=3, seed=9), ("duck",))
+    write_manifest(GenerateConfig(out=tmp_path / "mine", scenes=3, seed=9), ("duck",))
     said = describe_data(tmp_path / "mine")
     assert said["dataset"] == "mine" and said["generate"]["scenes"] == 3
     assert said["generate"]["settings"]["seed"] == 9
