@@ -1,6 +1,6 @@
 """What a pair of views costs: estimates one at a time, and in a batch.
 
-The methods take turns on the same pairs, so that what else the machine does meets all alike.
+The methods take turns on the same pairs, so that other load of the machine affects all alike.
 """
 
 from __future__ import annotations

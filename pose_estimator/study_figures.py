@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import METHODS
 from .results import write_atomically
-from .study_units import NOISY, TRAINED
+from .study_units import DEFAULT_WEIGHTS, NOISY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -127,8 +127,8 @@ def accuracy_under_noise(records: Records) -> Figure:
                 if not points:
                     continue
                 x, y, low, high = zip(*points, strict=True)
-                name = method if training == TRAINED else f"{method}, trained with errors"
-                style = "-" if training == TRAINED else "--"
+                name = method if training == DEFAULT_WEIGHTS else f"{method}, trained with errors"
+                style = "-" if training == DEFAULT_WEIGHTS else "--"
                 axis.fill_between(x, low, high, color=COLOURS[method], alpha=0.1, linewidth=0)
                 axis.plot(
                     x, y, style, color=COLOURS[method], marker=MARKERS[method], markersize=4,
@@ -157,7 +157,7 @@ def _band(record: Mapping[str, Any], scale: float) -> tuple[float, float, float]
 def _curves(records: Records) -> list[tuple[str, str]]:
     """Methods and trainings in the order of the legend."""
     known = {(r["method"], r["training"]) for r in records}
-    return [(m, t) for m in METHODS for t in (TRAINED, NOISY) if (m, t) in known]
+    return [(m, t) for m in METHODS for t in (DEFAULT_WEIGHTS, NOISY) if (m, t) in known]
 
 
 def new_figure(width: float, height: float) -> Figure:

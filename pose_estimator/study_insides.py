@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from .volume import LevelOutput, VolumeNet
 
 
-def draw_insides(
+def plot_activations(
     example: Example,
     estimators: Mapping[str, Estimator],
     depth: np.ndarray | None,
@@ -59,13 +59,16 @@ def draw_insides(
         estimator = estimators[method]
         networks: Any = estimator.networks  # type: ignore[attr-defined]
         if method == "early":
-            with overheard(networks.cascade) as heard:
+            with capture_forward(networks.cascade) as calls:
                 estimator.estimate(views, name)
-            (given, *_), outputs = heard[-1]
+            (given, *_), outputs = calls[-1]
             around = example.T_cam_obj[2, 3] + 0.8 * example.model.diameter * np.array([-1, 1])
             draw_depth(row, example.reference, given.K[0, 0].numpy(), outputs[-1], depth, around)
         else:
-            with overheard(networks.volume.fine.trunk) as trunk, overheard(networks.volume) as top:
+            with (
+                capture_forward(networks.volume.fine.trunk) as trunk,
+                capture_forward(networks.volume) as top,
+            ):
                 answer = estimator.estimate(views, name)
             T_near = nearest_symmetric_pose(answer.T_cam_obj, example.T_cam_obj, example.model)
             truth = transform(T_near, example.model.keypoints)
@@ -126,16 +129,16 @@ def draw_depth(
 
 
 @contextmanager
-def overheard(module: nn.Module) -> Iterator[list[tuple[tuple[Any, ...], Any]]]:
-    """Notes inputs and output of every run of a module while the context is open, on the CPU."""
-    heard: list[tuple[tuple[Any, ...], Any]] = []
+def capture_forward(module: nn.Module) -> Iterator[list[tuple[tuple[Any, ...], Any]]]:
+    """Records inputs and output of every call of a module while the context is open, on the CPU."""
+    calls: list[tuple[tuple[Any, ...], Any]] = []
 
-    def note(_: nn.Module, given: tuple[Any, ...], out: Any) -> None:
-        heard.append(tree_map_only(Tensor, Tensor.cpu, (given, out)))
+    def record(_: nn.Module, given: tuple[Any, ...], out: Any) -> None:
+        calls.append(tree_map_only(Tensor, Tensor.cpu, (given, out)))
 
-    hook = module.register_forward_hook(note)
+    hook = module.register_forward_hook(record)
     try:
-        yield heard
+        yield calls
     finally:
         hook.remove()
 

@@ -1,4 +1,4 @@
-"""From outcomes to the records of results.json: every figure of the report, one number each.
+"""From outcomes to the records of results.json: every number of the report.
 
 Intervals are of 95 percent, from a bootstrap over sequences (``intervals``). Means over objects
 count every object the same, means over gaps every gap.
@@ -7,18 +7,17 @@ count every object the same, means over gaps every gap.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from .intervals import Estimate, clustered_mean
+from .metrics import CORRECT
 from .study_log import PairOutcome
-from .study_units import BEST_GAP, Unit
+from .study_units import BEST_GAP, DEFAULT_WEIGHTS, Unit
 
 Record = dict[str, Any]
-
-CORRECT = 0.1
-"""ADD(-S) in diameters below which a pose counts as correct."""
 
 NEAR = 0.03
 """Distance in metres below which a keypoint counts as found."""
@@ -70,7 +69,7 @@ def method_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> 
             for name in dict.fromkeys(o.object_name for o in at_gap):
                 mine = [o for o in at_gap if o.object_name == name]
                 records.append(_record(metric, unit, _mean(mine, measure), object=name, gap=gap))
-            mean = _mean(at_gap, measure, lambda o: o.object_name)
+            mean = _mean(at_gap, measure, _object_name)
             records.append(_record(metric, unit, mean, object="mean", gap=gap))
         mean = _mean(outcomes, measure, lambda o: (o.gap, o.object_name))
         records.append(_record(metric, unit, mean, object="mean", gap="mean"))
@@ -92,7 +91,7 @@ def _by_distance(outcomes: Sequence[PairOutcome]) -> list[Record]:
             classes.setdefault((name, step), []).append(outcome)
     records = []
     for (name, step), group in sorted(classes.items()):
-        by_object = (lambda o: o.object_name) if name == "mean" else None
+        by_object = _object_name if name == "mean" else None
         found = _mean(group, lambda o: float(np.mean(np.array(o.distances) < NEAR)), by_object)
         tags = {"object": name, "gap": BEST_GAP, "distance": round((step + 0.5) * DISTANCE_STEP, 3)}
         records.append(_record("keypoint_recall", "", found, **tags))
@@ -128,34 +127,33 @@ def solver_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> 
     for gap in sorted({o.gap for o in solved}):
         group = [o for o in solved if o.gap == gap]
         for solver in group[0].solver_errors:
-            recall = _mean(group, _correct_by(solver), lambda o: o.object_name)
+            recall = _mean(group, partial(_correct_by, solver), _object_name)
             records.append(_record("solver_recall", "", recall, solver=solver, gap=gap))
             if solver != "soft":
-                better = _mean(group, _soft_gains_over(solver), lambda o: o.object_name)
-                records.append(
-                    _record(
-                        "solver_recall_difference", "", better,
-                        solver="soft", against=solver, gap=gap,
-                    )
-                )  # fmt: skip
+                gain = _mean(group, partial(_soft_gain, solver), _object_name)
+                pair = {"solver": "soft", "against": solver, "gap": gap}
+                records.append(_record("solver_recall_difference", "", gain, **pair))
     return [record | dict(tags) for record in records]
 
 
-def _correct_by(solver: str) -> Callable[[PairOutcome], float]:
-    return lambda o: float(o.solver_errors[solver] < CORRECT)
+def _correct_by(solver: str, outcome: PairOutcome) -> float:
+    return float(outcome.solver_errors[solver] < CORRECT)
 
 
-def _soft_gains_over(solver: str) -> Callable[[PairOutcome], float]:
-    soft, other = _correct_by("soft"), _correct_by(solver)
-    return lambda o: soft(o) - other(o)
+def _soft_gain(solver: str, outcome: PairOutcome) -> float:
+    return _correct_by("soft", outcome) - _correct_by(solver, outcome)
+
+
+def _object_name(outcome: PairOutcome) -> str:
+    return outcome.object_name
 
 
 def noise_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> list[Record]:
-    """What a method reaches that is told a wrong relative pose; ``tags`` say how wrong."""
+    """What a method reaches with an inexact relative pose; ``tags`` say how inexact."""
     records = []
     for metric in ("add_s_recall", "keypoint_distance"):
         unit, measure = MEASURES[metric]
-        mean = _mean(outcomes, measure, lambda o: o.object_name)
+        mean = _mean(outcomes, measure, _object_name)
         records.append(_record(f"noise_{metric}", unit, mean, **tags))
     return records
 
@@ -163,23 +161,24 @@ def noise_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> l
 def training_records(
     outcomes: Sequence[PairOutcome], usual: Sequence[PairOutcome], tags: Mapping[str, Any]
 ) -> list[Record]:
-    """What other weights reach, and how much more the usual ones do on the same pairs.
+    """What other weights reach, and how much more the default ones do on the same pairs.
 
     Args:
         outcomes: with the other weights.
-        usual: with the usual ones.
-        tags: ``method``, ``scene`` and ``training``.
+        usual: with the default ones.
+        tags: ``method``, ``scene`` and ``training``; the records of the default weights on the same
+            pairs have the tag ``paired_with`` instead of the latter.
     """
     records = []
     pairs = _matched(usual, outcomes)
     for metric in ("add_s_recall", "keypoint_distance"):
         unit, measure = MEASURES[metric]
-        mean = _mean(outcomes, measure, lambda o: o.object_name)
+        mean = _mean(outcomes, measure, _object_name)
         records.append(_record(f"training_{metric}", unit, mean, **tags))
         if pairs:
-            matched = _mean([ours for ours, _ in pairs], measure, lambda o: o.object_name)
-            usual_tags = {**tags, "training": f"usual, beside {tags['training']}"}
-            records.append(_record(f"training_{metric}", unit, matched, **usual_tags))
+            matched = _mean([ours for ours, _ in pairs], measure, _object_name)
+            baseline = {**tags, "training": DEFAULT_WEIGHTS, "paired_with": tags["training"]}
+            records.append(_record(f"training_{metric}", unit, matched, **baseline))
             records.append(
                 _record(f"training_{metric}_difference", unit, _difference(pairs, measure), **tags)
             )

@@ -1,4 +1,4 @@
-"""Regions of interest from true poses: analyses tell an estimator where to look."""
+"""Ground-truth regions of interest: analyses that leave the detector out."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ NOISE = {"truth": (0.0, 0.0), "noisy": (0.04, 0.012)}
 
 
 @dataclass(frozen=True)
-class ToldRegions:
-    """Regions of interest that an analysis tells the estimator, from the true poses.
+class GroundTruthRois:
+    """Makes regions of interest from the true poses.
 
     Attributes:
         scale: side in diameters.
@@ -30,16 +30,16 @@ class ToldRegions:
     side_noise: float = 0.0
     seed: int = 0
 
-    def regions(
+    def make(
         self, T_cam_obj: Sequence[np.ndarray], views: Sequence[View], diameter: float, number: int
     ) -> list[Roi]:
         """One region for each view.
 
         Args:
             T_cam_obj: the true pose in each view, (4, 4) each.
-            views: pictures and cameras.
+            views: images and cameras.
             diameter: of the object, metres.
-            number: of the pair; with the seed it fixes the noise.
+            number: of the pair; with the seed it determines the noise.
         """
         rng = np.random.default_rng([self.seed, number])
         spread = (self.side_noise, self.side_noise, self.depth_noise)

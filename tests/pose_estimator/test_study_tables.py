@@ -105,7 +105,7 @@ def test_noise_and_trainings():
     records = training_records(other, usual, {"training": "no pose loss"})
     recall = "training_add_s_recall"
     assert figure(records, recall, training="no pose loss")["value"] == 0.5
-    assert figure(records, recall, training="usual, beside no pose loss")["value"] == 1.0
+    assert figure(records, recall, paired_with="no pose loss")["value"] == 1.0
     assert figure(records, f"{recall}_difference")["value"] == 0.5
     assert len(training_records(other, [], {"training": "no pose loss"})) == 2
 
