@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from . import METHODS, published
-from .study_units import BEST_GAP, DEFAULT_WEIGHTS, GAPS
+from .study_units import BEST_GAP, DEFAULT_WEIGHTS, GAPS, has_both_errors
 
 Records = Sequence[Mapping[str, Any]]
 Record = Mapping[str, Any] | None
@@ -144,7 +144,7 @@ def noise_table(records: Records) -> Table | None:
         {(r["method"], r["training"]) for r in chosen},
         key=lambda curve: (METHODS.index(curve[0]), curve[1] != DEFAULT_WEIGHTS),
     )
-    levels = {(r["rotation_deg"], r["translation"]) for r in chosen if both_errors(r)}
+    levels = {(r["rotation_deg"], r["translation"]) for r in chosen if has_both_errors(r)}
     rows = []
     for rotation, translation in sorted(levels):
         row = [Cell(f"{rotation:g}°, {1000 * translation:g} mm")]
@@ -160,11 +160,6 @@ def noise_table(records: Records) -> Table | None:
     groups = [("", 1), *((title, len(names)) for title in _MEASURE_TITLES)]
     head = [Cell(name) for name in ("error of the pose", *names, *names)]
     return Table(groups, head, rows) if rows else None
-
-
-def both_errors(record: Mapping[str, Any]) -> bool:
-    """Whether the relative pose has both errors at once, 5 mm for each degree (or none)."""
-    return abs(record["rotation_deg"] / 2 - record["translation"] / 0.01) < 1e-9
 
 
 def training_table(records: Records) -> Table | None:

@@ -1,7 +1,7 @@
 """Figure 6: what lies between the pictures and the keypoints.
 
 Of Early-Fusion the depth map; of Mid-Fusion the features and the distribution of the keypoints in
-its volume, cut through the object's centre.
+its volume, cut through the object's center.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def draw_depth(
         K_crop: (3, 3) camera of the crop.
         stage: the cascade's last :class:`~.cascade.DepthOutput`.
         sensed: depth map of the whole view, (H, W) m, 0 = unknown, or None.
-        around: (2,) ends of the depths that the colours tell apart, m.
+        around: (2,) ends of the depths that the colors tell apart, m.
     """
     found = stage.depth[0].float().numpy()
     side = found.shape[0] * stage.stride
@@ -115,8 +115,8 @@ def draw_depth(
             ("depth sensor (m)", known, "viridis", low, high),
             ("difference (mm)", 1e3 * np.abs(found - known), "magma", 0, 50),
         ]
-    for axis, (title, picture, colours, least, most) in zip(axes[1:], panels, strict=False):
-        image = axis.imshow(picture, cmap=colours, vmin=least, vmax=most)
+    for axis, (title, values, colors, minimum, maximum) in zip(axes[1:], panels, strict=False):
+        image = axis.imshow(values, cmap=colors, vmin=minimum, vmax=maximum)
         bar = axis.figure.colorbar(image, ax=axis, fraction=0.05, pad=0.03)
         bar.ax.tick_params(labelsize=7)
         bar.outline.set_visible(False)  # type: ignore[operator]
@@ -167,10 +167,10 @@ def draw_volume(
     channels = volume.fine.outside.numel()
     parts = trunk_input[0, : 2 * channels].float().unflatten(0, (2, channels))
     names = ("features, reference view", "features, second view")
-    for axis, title, colours in zip(axes[:2], names, _colours(parts), strict=True):
+    for axis, title, colors in zip(axes[:2], names, _colors(parts), strict=True):
         # From above: x to the right, z (depth) upwards.
         axis.imshow(
-            colours[:, middle].transpose(1, 0, 2), origin="lower",
+            colors[:, middle].transpose(1, 0, 2), origin="lower",
             extent=_extent(edges, (0, 2), half), interpolation="nearest",
         )  # fmt: skip
         _mark(axis, 100 * truth[:, [0, 2]], "o", mfc="none", mec="white", ms=6)
@@ -184,9 +184,9 @@ def draw_volume(
         # Each keypoint's marginal, scaled to its peak: all nine can be seen.
         marginal = probability.sum(axis=gone + 1)
         marginal = (marginal / marginal.max(axis=(1, 2), keepdims=True)).max(axis=0)
-        picture = marginal.T if a < b else marginal
+        image = marginal.T if a < b else marginal
         axis.imshow(
-            picture, origin="lower", extent=_extent(edges, (a, b), half), cmap="magma",
+            image, origin="lower", extent=_extent(edges, (a, b), half), cmap="magma",
             interpolation="nearest",
         )  # fmt: skip
         found = level.keypoints[0].numpy()
@@ -204,8 +204,8 @@ def _mark(axis: Axes, points: np.ndarray, mark: str, **style: Any) -> None:
     axis.plot(points[:, 0], points[:, 1], mark, **style)
 
 
-def _colours(parts: Tensor) -> np.ndarray:
-    """Features (V, C, N, N, N) as colours (V, N, N, N, 3): their three main directions."""
+def _colors(parts: Tensor) -> np.ndarray:
+    """Features (V, C, N, N, N) as colors (V, N, N, N, 3): their three main directions."""
     flat = parts.movedim(1, -1).reshape(-1, parts.shape[1])
     flat = flat - flat.mean(0)
     _, _, directions = torch.linalg.svd(flat, full_matrices=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -48,6 +48,11 @@ NOISE = tuple(
     )
 )
 """Degrees and metres: both together, and each alone."""
+
+
+def has_both_errors(record: Mapping[str, Any]) -> bool:
+    """Whether a record is of both errors together: 5 mm for each degree, or none of either."""
+    return abs(record["rotation_deg"] / 2 - record["translation"] / 0.01) < 1e-9
 
 
 _T = TypeVar("_T")
