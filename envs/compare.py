@@ -1,4 +1,4 @@
-"""The verb ``compare``: makes the two tests where they are missing, then runs the study on them."""
+"""The command ``compare``: makes the two tests where missing, then runs the study on them."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The data sets that the comparative study is tested and tuned on.
 
-Frozen: a set is its description, and whoever renders it gets the same images. Every scene draws its
+Frozen: rendering the description of a set gives the same images everywhere. Every scene draws its
 textures, its arrangement and its camera's path from the set's seed and the scene's number, so sets
 of different seeds have nothing in common but the objects. Training sets have seeds of their own: 3
 and 7001 for the weights that ship.

@@ -1,4 +1,4 @@
-"""How well the poses of a result file do, whoever estimated them."""
+"""Scores the poses of a result file of any method."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .results import write_results
 
 
 def score_file(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]) -> list[dict]:
-    """Scores the file ``config.score`` on the dataset at ``root``, prints and writes the figures.
+    """Scores the file ``config.score`` on the dataset at ``root``, prints and writes the results.
 
     Raises:
         ValueError: if the file or the dataset is not usable; the message names file and line.
@@ -73,7 +73,7 @@ def score_results(
         One outcome for each instance to be found; its error is infinite where no estimate is left.
 
     Raises:
-        ValueError: if the dataset does not have a target's picture, object or true pose.
+        ValueError: if the dataset does not have a target's image, object or true pose.
     """
     of_target: dict[tuple[int, int, int], list[BopResult]] = {}
     for result in results:

@@ -1,4 +1,4 @@
-"""Options of the verb ``compare``."""
+"""Options of the command ``compare``."""
 
 from __future__ import annotations
 

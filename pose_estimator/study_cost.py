@@ -34,7 +34,7 @@ def measure(
 
     Args:
         estimators: method -> estimator.
-        pairs: each makes the views that a method is given, anew, and the object's name.
+        pairs: each reads the views that a method is given, and the object's name.
         repeats: timed estimates of each method; the median counts.
         progress: whether to show a bar.
 

@@ -112,8 +112,8 @@ def timed_pairs(
     """Pairs to time, spread over the test: each gives a method's views, and the object's name."""
     work = at_best_gap(test, objects)
     places = np.linspace(0, len(work) - 1, min(len(work), BATCH)).astype(int)
+    return [partial(_views_and_name, test, work[place]) for place in places]
 
-    def views_and_name(work: Work, method: str) -> tuple[list[View], str]:
-        return make_views(test, work, method), work[1]
 
-    return [partial(views_and_name, work[place]) for place in places]
+def _views_and_name(test: StudySet, work: Work, method: str) -> tuple[list[View], str]:
+    return make_views(test, work, method), work[1]

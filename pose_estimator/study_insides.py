@@ -1,4 +1,4 @@
-"""Figure 6: what lies between the pictures and the keypoints.
+"""Figure 6: what lies between the images and the keypoints.
 
 Of Early-Fusion the depth map; of Mid-Fusion the features and the distribution of the keypoints in
 its volume, cut through the object's center.
@@ -39,13 +39,13 @@ def plot_activations(
     """Figure 6 for the networks that there are.
 
     Args:
-        example: the pair; its methods' answers say where the truth's symmetric twin is nearest.
+        example: the pair; its methods' answers select the symmetric equivalent of the truth.
         estimators: ``early`` and ``mid`` are looked into.
         depth: the reference's depth map as the sensor saw it, (H, W) m, to draw beside; or None.
-        path: of the picture.
+        path: of the figure.
 
     Returns:
-        The picture, or None if neither method is there.
+        The figure, or None if neither method is there.
     """
     rows = [method for method in ("early", "mid") if method in estimators]
     if not rows:

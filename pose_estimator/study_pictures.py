@@ -1,4 +1,4 @@
-"""The study's pictures: what each method answers for a pair of views, and what it saw inside."""
+"""Figure 5: what each method answers for a pair of views."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Example:
     answers: Mapping[str, PoseEstimate]
 
     def crop(self, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The view around the object: picture, its K (3, 3), and T_cam_obj (4, 4) in the view."""
+        """The view around the object: image, its K (3, 3), and T_cam_obj (4, 4) in the view."""
         T = view.T_cam_world @ invert(self.reference.T_cam_world) @ self.T_cam_obj
         side = _ROOM * self.model.diameter * view.K[0, 0] / T[2, 3]
         affine = crop_matrix(project(T[:3, 3], view.K), side, CROP)
@@ -56,7 +56,7 @@ class Example:
 
 
 def draw_example(example: Example, path: Path) -> Path:
-    """Figure 5: keypoints in the picture, in space, and the poses, a column for each method."""
+    """Figure 5: keypoints in the image, in space, and the poses, a column for each method."""
     methods = list(example.answers)
     # The two views stand in a column of their own, at the left.
     figure = new_figure(2.35 * (len(methods) + 1), 7.3)

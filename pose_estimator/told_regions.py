@@ -11,7 +11,7 @@ from .estimate import Roi, roi_of_pose
 from .geometry import View
 
 NOISE = {"truth": (0.0, 0.0), "noisy": (0.04, 0.012)}
-"""Standard deviations of the centre in metres, in depth and sideways, by the option's value."""
+"""Standard deviations of the center in metres, in depth and sideways, by the option's value."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class GroundTruthRois:
 
     Attributes:
         scale: side in diameters.
-        depth_noise: standard deviation of the centre's depth, metres.
+        depth_noise: standard deviation of the center's depth, metres.
         side_noise: the same sideways, metres.
         seed: of the noise.
     """

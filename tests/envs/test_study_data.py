@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,14 +64,6 @@ def test_heaps_of_lmo_s_objects_have_more_than_100_reference_views() -> None:
     assert {plan.kind for plan in plans(config)} == {"heap"}
     views = sum(len({first for first, _ in plan.pairs}) for plan in plans(config))
     assert views >= 120  # some objects cannot be seen in some
-
-
-def test_validation_sets_differ_from_the_tests_in_size_and_seed_only() -> None:
-    for name in ("linemod", "occlusion"):
-        test, validation = TEST_SETS[name], TEST_SETS[f"{name}-validation"]
-        same = {"out": test.out, "scenes": test.scenes, "seed": test.seed}
-        assert replace(validation, **same) == test
-        assert validation.scenes < test.scenes
 
 
 def test_the_quick_set_is_rendered_once(tmp_path: Path) -> None:
