@@ -1,4 +1,4 @@
-"""The verb ``compare``: makes the two tests where they are missing, then runs the study on them."""
+"""The command ``compare``: makes the two tests where missing, then runs the study on them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def compare(config: CompareConfig) -> None:
 
     Raises:
         ValueError: if no method can be run, there is no such device, or the folder holds another
-            study's tests.
+            study's tests or outcomes.
         FileNotFoundError: if there are no such weights.
         GraphicsUnavailable: if a test has to be rendered and there is no OpenGL to draw with.
     """
@@ -25,15 +25,14 @@ def compare(config: CompareConfig) -> None:
         from ..pose_estimator.study_units import TESTS
         from .study_data import ensure_test_set
 
-        reduced = config.reduced()
         tests = {
             name: StudySet.open(name, ensure_test_set(name, config.test_data, config.quick))
             for name in TESTS
         }
-        records = Study(reduced, tests).run()
+        records = Study(config.reduced(), tests).run()
         write_results(
             config.out / "results.json", records, command=config.command(), seed=config.seed
         )
     page = write_report(config.out)
-    print(f"figures: {config.out / 'results.json'}")
+    print(f"results: {config.out / 'results.json'}")
     print(f"page: {page}")

@@ -1,4 +1,4 @@
-"""The verb ``evaluate``: renders held-out scenes where none are given, then measures on them."""
+"""The command ``evaluate``: renders held-out scenes where none are given, then measures on them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .generate import GenerateConfig, generate
 
 
 def evaluate(config: EvaluateConfig) -> None:
-    """Measures an estimator, or somebody's poses, on our scenes or on a BOP dataset.
+    """Measures an estimator, or the poses of a file, on our scenes or on a BOP dataset.
 
     Raises:
         ValueError: if the data, the weights or the device are not usable.
@@ -57,7 +57,7 @@ def evaluate(config: EvaluateConfig) -> None:
 
 
 def known_objects(weights: str) -> tuple[str, ...]:
-    """What ``generate --objects`` is told to render the objects that weights know.
+    """Values of ``generate --objects`` that render the objects that weights know.
 
     Raises:
         FileNotFoundError, ValueError: see ``find_weights`` and ``read_header``.

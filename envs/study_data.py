@@ -1,8 +1,9 @@
-"""The data of the comparative study: what it is trained on, tuned on and tested on.
+"""The data sets that the comparative study is tested and tuned on.
 
-Frozen: a set is its description, and whoever renders it gets the same pictures. Every scene draws
-its textures, its arrangement and its camera's path from the set's seed and the scene's number, so
-sets of different seeds have nothing in common but the objects.
+Frozen: rendering the description of a set gives the same images everywhere. Every scene draws its
+textures, its arrangement and its camera's path from the set's seed and the scene's number, so sets
+of different seeds have nothing in common but the objects. Training sets have seeds of their own: 3
+and 7001 for the weights that ship.
 """
 
 from __future__ import annotations
@@ -14,20 +15,6 @@ from .generate import GenerateConfig, generate
 
 LMO_OBJECTS = ("ape", "can", "cat", "driller", "duck", "eggbox", "glue", "holepuncher")
 """The objects of LM-O, all of them in every heap of the Occlusion-style test."""
-
-TRAINING_SET = GenerateConfig(
-    out=Path("training"),
-    scenes=3120,
-    views=4,
-    scene="all",
-    sampling="mixed",
-    depth=True,
-    seed=7001,
-    annotations="basic",
-)
-"""Views around the sphere and frames of hand-held sequences by turns, so that baselines of all
-sizes are trained. As a command: ``generate --out training --scenes 3120 --views 4 --scene all
---sampling mixed --depth --seed 7001 --annotations basic``."""
 
 _LINEMOD = GenerateConfig(
     out=Path("linemod"),
@@ -100,12 +87,5 @@ def ensure_test_set(name: str, root: Path, quick: bool = False, workers: int = 2
             views=1 + max(config.gaps),
             references=1,
         )
-    generate(config)
-    return config.out
-
-
-def ensure_training_set(root: Path, workers: int = 2) -> Path:
-    """Renders what is missing of the training set; returns its folder below ``root``."""
-    config = replace(TRAINING_SET, out=Path(root) / TRAINING_SET.out, workers=workers)
     generate(config)
     return config.out

@@ -1,4 +1,4 @@
-"""How well an estimator does on a BOP dataset of pictures with known poses."""
+"""Evaluates an estimator on a BOP dataset."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .evaluate_config import EvaluateConfig
 from .evaluate_pairs import evaluate_pairs
 from .find_pairs import find_pairs
 from .metrics import MeasuredObject
-from .outcomes import print_table, summarise
-from .told_regions import NOISE, ToldRegions
+from .outcomes import print_table, summarize
+from .told_regions import NOISE, GroundTruthRois
 
 if TYPE_CHECKING:
     from .networks import PoseNetworks
@@ -45,7 +45,7 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
         pairs,
         networks.objects,
         depth=config.method == "rgbd",
-        told=_told_regions(config, networks),
+        ground_truth_rois=_ground_truth_rois(config, networks),
         surfaces=_surfaces(config, dataset, networks.objects),
         targets=_targets(dataset),
         baselines=config.baselines,
@@ -60,11 +60,11 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
         tags["solver"] = config.solver
     if config.roi != "detector":
         tags["roi"] = config.roi
-    records = summarise(outcomes, tags, config.seed)
+    records = summarize(outcomes, tags, config.seed)
     print_table(records, _title(tags))
     for gap in sorted({o.gap for o in outcomes if o.gap is not None}):
         group = [o for o in outcomes if o.gap == gap]
-        records += summarise(group, {**tags, "gap": gap}, config.seed)
+        records += summarize(group, {**tags, "gap": gap}, config.seed)
     if config.csv is not None:
         found = [(o.estimate, o.uncertainty) for o in outcomes if o.estimate is not None]
         write_bop_results(config.csv, surest_of_each_target(found))
@@ -73,12 +73,12 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     return records
 
 
-def _told_regions(config: EvaluateConfig, networks: PoseNetworks) -> ToldRegions | None:
+def _ground_truth_rois(config: EvaluateConfig, networks: PoseNetworks) -> GroundTruthRois | None:
     """What ``config.roi`` means."""
     if config.roi == "detector":
         return None
     scale = networks.features.config.roi_scale
-    return ToldRegions(scale, *NOISE[config.roi], seed=config.seed)
+    return GroundTruthRois(scale, *NOISE[config.roi], seed=config.seed)
 
 
 def _surfaces(
@@ -101,7 +101,7 @@ def _targets(dataset: BopDataset) -> set[tuple[int, int, int]] | None:
 
 def _title(tags: Mapping[str, Any]) -> str:
     """What a table shows, in words."""
-    words = {"solver": "solver {}", "roi": "regions of interest told: {}"}
+    words = {"solver": "solver {}", "roi": "ground-truth ROI: {}"}
     return ", ".join(words.get(name, "{}").format(tag) for name, tag in tags.items())
 
 

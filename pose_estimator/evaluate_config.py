@@ -1,4 +1,4 @@
-"""Options of the verb ``evaluate``."""
+"""Options of the command ``evaluate``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class EvaluateConfig:
     and where it lists targets (test_targets_bop19.json) pairs count for these.
 
     --score measures poses of others instead: of each target in the dataset's list of targets, with
-    the dataset's own models; what is missing is wrong. Options of an estimator then mean nothing.
+    the dataset's own models; what is missing is wrong. Options of an estimator are ignored.
     """
 
     method: str = "mid"
@@ -30,8 +30,8 @@ class EvaluateConfig:
     """From 3D keypoints to the pose: `soft` (Soft RANSAC), `kabsch` or `hard` (RANSAC)."""
     roi: Literal["detector", "truth", "noisy"] = "detector"
     """Where the estimator looks first. The others are for analyses that leave the detector out:
-    `truth` tells it the true region of the object, `noisy` that of the true centre plus noise of
-    4 cm in depth and 1.2 cm sideways (standard deviations, drawn anew for each picture)."""
+    `truth` gives it the ground-truth ROI, `noisy` that of the true center plus noise of 4 cm in
+    depth and 1.2 cm sideways (standard deviations, drawn for each image)."""
     scene: Literal["linemod", "clutter", "occlusion", "heap"] = "linemod"
     """Kind of our scenes."""
     scenes: int = 520
@@ -53,7 +53,8 @@ class EvaluateConfig:
     """Take each pair a second time with its views exchanged."""
     csv: Path | None = None
     """Write the poses in the reference views as a BOP result file, METHOD_DATASET-SPLIT.csv by
-    custom. Where a reference view is in several pairs, the pose that is surest of its keypoints."""
+    custom. Where a reference view is in several pairs, the one of the smallest keypoint
+    variance."""
     score: Path | None = None
     """Run no estimator: score this BOP result file, anyone's, on --data."""
     keep: Path | None = None
@@ -64,7 +65,7 @@ class EvaluateConfig:
     threads: int = 0
     """Threads of the processor that estimates may use; 0: all cores."""
     json: Path | None = None
-    """Write the figures as a results file."""
+    """Write the results as a results file."""
 
     def __post_init__(self) -> None:
         low, high = self.baselines

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple, Protocol
 
@@ -15,16 +15,16 @@ from .bop import BopAnnotation, BopDataset, BopImage, BopPair, read_depth, read_
 from .bop_results import BopResult
 from .estimate import PoseEstimate, Roi
 from .geometry import View
-from .metrics import MeasuredObject, add_or_add_s
+from .metrics import MeasuredObject, add_or_add_s, keypoint_distances
 from .outcomes import Outcome
-from .told_regions import ToldRegions
+from .told_regions import GroundTruthRois
 
 
 class _Estimator(Protocol):
     @property
     def object_names(self) -> tuple[str, ...]: ...
 
-    # It is given regions of interest only where ``told`` says so.
+    # It is given regions of interest only where ``ground_truth_rois`` says so.
     def estimate(
         self, views: Sequence[View], object_name: str, rois: Sequence[Roi] | None = None
     ) -> PoseEstimate: ...
@@ -69,7 +69,7 @@ def evaluate_pairs(
     *,
     views: int = 2,
     depth: bool = False,
-    told: ToldRegions | None = None,
+    ground_truth_rois: GroundTruthRois | None = None,
     surfaces: Mapping[str, MeasuredObject] | None = None,
     targets: Container[tuple[int, int, int]] | None = None,
     baselines: tuple[float, float] = (0.0, 180.0),
@@ -78,121 +78,124 @@ def evaluate_pairs(
     """Runs an estimator on pairs of views.
 
     Args:
-        estimator: what to measure; it is told the pictures, cameras and the object's name.
-        dataset: where the pictures and the true poses are.
+        estimator: what to measure; it is given images, cameras and the object's name.
+        dataset: where the images and the true poses are.
         pairs: see :func:`target_pairs`.
         objects: the models.
         views: 1 leaves the second view out.
         depth: whether the estimator is given depth maps.
-        told: for analyses only: regions of interest that the estimator is told. None leaves it to
-            find the object.
+        ground_truth_rois: for analyses only: makes the regions of interest that the estimator is
+            given. None leaves it to find the object.
         surfaces: what errors are measured on, by the objects' names; None: ``objects``.
         targets, baselines: see :func:`target_pairs`.
         progress: whether to show a bar.
 
     Returns:
-        One outcome for each pair and target that both pictures are annotated with.
+        One outcome for each pair and target that both images are annotated with.
 
     Raises:
         ValueError: if ``depth`` is asked for and the dataset has none.
     """
     from tqdm import tqdm
 
-    cases = [
-        _Case(pair, name, number)
-        for number, (pair, name) in enumerate(target_pairs(pairs, objects, targets, baselines))
-    ]
+    cases = list(enumerate(target_pairs(pairs, objects, targets, baselines)))
     scenes = lru_cache(maxsize=2)(dataset.scene)
     size = batch_size(estimator)
     outcomes = []
     with tqdm(total=len(cases), desc="evaluating", unit="pair", disable=not progress) as bar:
         for start in range(0, len(cases), size):
-            few = cases[start : start + size]
-            opened = [
-                found
-                for case in few
-                if (found := _open(case, scenes(case.pair.scene_id), objects, views, depth, told))
-            ]
+            batch: list[AnnotatedPair] = []
+            requests: list[tuple[list[View], str]] = []
+            rois: list[list[Roi]] = []
+            for number, (pair, name) in cases[start : start + size]:
+                model = objects[name]
+                case = annotated_pair(pair, name, model.obj_id, scenes(pair.scene_id))
+                if case is None:
+                    continue
+                if depth and case.images[0].depth_path is None:
+                    raise ValueError(
+                        f"scene {pair.scene_id} has no depth maps, which the estimator needs: "
+                        "generate the dataset again with --depth"
+                    )
+                given = read_views(case.images[:views], pair.T_second_ref, depth=depth)
+                batch.append(case)
+                requests.append((given, name))
+                if ground_truth_rois is not None:
+                    poses = [truth.T_cam_obj for truth in case.truths[:views]]
+                    rois.append(ground_truth_rois.make(poses, given, model.diameter, number))
             began = time.perf_counter()
             estimates = estimate_all(
-                estimator,
-                [(case.views, case.case.name) for case in opened],
-                None if told is None else [case.rois for case in opened],
+                estimator, requests, None if ground_truth_rois is None else rois
             )
-            seconds = (time.perf_counter() - began) / max(1, len(opened))
-            for case, estimate in zip(opened, estimates, strict=True):
-                model = objects[case.case.name]
-                surface = (surfaces or objects).get(case.case.name, model)
+            seconds = (time.perf_counter() - began) / max(1, len(requests))
+            for case, estimate in zip(batch, estimates, strict=True):
+                model = objects[case.name]
+                surface = (surfaces or objects).get(case.name, model)
                 outcomes.append(_outcome(case, estimate, model, surface, seconds))
-            bar.update(len(few))
+            bar.update(min(size, len(cases) - start))
     return outcomes
 
 
-class _Case(NamedTuple):
-    """A pair, the object to look for, and its number, which fixes the noise of regions."""
+class AnnotatedPair(NamedTuple):
+    """An object in a pair of views: both images, the reference first, and its true poses."""
 
     pair: BopPair
     name: str
-    number: int
+    images: list[BopImage]
+    truths: list[BopAnnotation]
 
 
-class _OpenCase(NamedTuple):
-    """What an estimator is given of a case, and the truth."""
+def annotated_pair(
+    pair: BopPair, name: str, obj_id: int, scene: Mapping[int, BopImage]
+) -> AnnotatedPair | None:
+    """The images and true poses of a pair; None if an image is not annotated with the object."""
+    images = [scene[pair.ref_image_id], scene[pair.second_image_id]]
+    truths = [truth for image in images if (truth := image.annotation(obj_id)) is not None]
+    return AnnotatedPair(pair, name, images, truths) if len(truths) == len(images) else None
 
-    case: _Case
-    views: list[View]
-    rois: list[Roi]
-    truth: BopAnnotation
 
-
-def _open(
-    case: _Case,
-    scene: Mapping[int, BopImage],
-    objects: Mapping[str, ObjectModel],
-    views: int,
+def read_views(
+    images: Sequence[BopImage],
+    T_second_ref: np.ndarray,
+    *,
     depth: bool,
-    told: ToldRegions | None,
-) -> _OpenCase | None:
-    """Reads a case; None if not both images are annotated with the object."""
-    pair, model = case.pair, objects[case.name]
-    reference, second = scene[pair.ref_image_id], scene[pair.second_image_id]
-    truth, truth_second = (image.annotation(model.obj_id) for image in (reference, second))
-    if truth is None or truth_second is None:
-        return None
-    if depth and reference.depth_path is None:
-        raise ValueError(
-            f"scene {pair.scene_id} has no depth maps, which the estimator needs: generate the "
-            "dataset anew with --depth"
-        )
-    cameras = [(reference, np.eye(4)), (second, pair.T_second_ref)][:views]
-    given = [
-        View(read_rgb(image), image.K, T, read_depth(image) if depth else None)
-        for image, T in cameras
+    read: Callable[[BopImage], np.ndarray] = read_rgb,
+) -> list[View]:
+    """What an estimator is given of a pair.
+
+    Args:
+        images: the reference and, unless the method looks at one view only, the second image.
+        T_second_ref: (4, 4) pose of the reference camera in the second one's frame.
+        depth: whether to read depth maps too.
+        read: reads the pixels, for callers that keep some.
+
+    Raises:
+        ValueError: if depth is asked for and an image has none.
+    """
+    return [
+        View(read(image), image.K, T, read_depth(image) if depth else None)
+        for image, T in zip(images, (np.eye(4), T_second_ref), strict=False)
     ]
-    rois: list[Roi] = []
-    if told is not None:
-        poses = (truth.T_cam_obj, truth_second.T_cam_obj)[:views]
-        rois = told.regions(poses, given, model.diameter, case.number)
-    return _OpenCase(case, given, rois, truth)
 
 
 def _outcome(
-    opened: _OpenCase,
+    case: AnnotatedPair,
     estimate: PoseEstimate,
     model: ObjectModel,
     surface: MeasuredObject,
     seconds: float,
 ) -> Outcome:
     """How far an estimate is off."""
-    pair, truth = opened.case.pair, opened.truth
+    pair, truth = case.pair, case.truths[0]
     error = add_or_add_s(estimate.T_cam_obj, truth.T_cam_obj, surface) / surface.diameter
     score = estimate.rois[0].score if estimate.rois else 1.0
     row = (pair.scene_id, pair.ref_image_id, model.obj_id, score, estimate.T_cam_obj, seconds)
     variance = np.trace(estimate.keypoint_covariance, axis1=1, axis2=2).mean()
+    distances = keypoint_distances(estimate.keypoints, truth.T_cam_obj, model)
     return Outcome(
-        object_name=opened.case.name,
+        object_name=case.name,
         error=float(error),
-        keypoint_distance=distance_of_keypoints(estimate.keypoints, truth.T_cam_obj, model),
+        keypoint_distance=float(distances.mean()),
         seconds=seconds,
         baseline=baseline_at(pair, model.obj_id),
         visibility=truth.visibility,
@@ -201,13 +204,3 @@ def _outcome(
         estimate=BopResult(*row),
         uncertainty=float(np.sqrt(variance)),
     )
-
-
-def distance_of_keypoints(keypoints: np.ndarray, T_true: np.ndarray, model: ObjectModel) -> float:
-    """Mean distance (m) of predicted 3D keypoints (9, 3) from the nearest equivalent truth."""
-    distances = []
-    for S in model.symmetries:
-        T = T_true @ S
-        truth = model.keypoints @ T[:3, :3].T + T[:3, 3]
-        distances.append(np.linalg.norm(keypoints - truth, axis=1).mean())
-    return float(min(distances))

@@ -1,11 +1,12 @@
-"""Means with their intervals, by a bootstrap over sequences.
+"""Means with their 95 percent intervals, by the bootstrap (percentile method).
 
-Neighbouring frames of one hand-held sequence are nearly the same picture, so counting each as a
-trial of its own would make every interval too narrow. Whole sequences are resampled instead
-(Efron and Tibshirani, *An Introduction to the Bootstrap*, chapter 8). Sequences that have no object
-in common, directly or through others, are resampled apart, so that every resample shows all objects
-as often. Where there is a single sequence of a kind, its frames are all there is to resample, and
-they are taken one by one.
+Independent values are resampled one by one: :func:`bootstrap_interval`. Neighboring frames of one
+hand-held sequence are nearly the same image, so counting each as a trial of its own would make
+every interval too narrow: :func:`clustered_mean` resamples whole sequences (Efron and Tibshirani,
+*An Introduction to the Bootstrap*, chapter 8). Sequences that have no object in common, directly or
+through others, are resampled apart, so that every resample shows all objects as often. Where there
+is a single sequence of a kind, its frames are all there is to resample, and they are taken one by
+one.
 """
 
 from __future__ import annotations
@@ -16,6 +17,46 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+
+RESAMPLES = 2000
+
+QUANTILES = ((1 - 0.95) / 2, (1 + 0.95) / 2)
+"""Of the resampled means: the ends of an interval of 95 percent."""
+
+_MAX_DRAWS = 1_000_000
+"""Values drawn at once: keeps the memory small for long lists."""
+
+
+def bootstrap_interval(
+    groups: Sequence[np.ndarray],
+    rng: np.random.Generator,
+    quantiles: tuple[float, float] = QUANTILES,
+) -> tuple[float, float]:
+    """Interval of the mean over groups of the mean within each, resampled within each group.
+
+    Args:
+        groups: one or more lists of values, (N_g,) each; for a recall the 0/1 outcomes.
+        rng: where the resampling draws from.
+        quantiles: of the resampled means.
+
+    Returns:
+        Low and high end of the interval.
+
+    Raises:
+        ValueError: if there are no groups, or one is not a non-empty list of numbers.
+    """
+    means = []
+    for values in groups:
+        if values.ndim != 1 or not values.size or np.isnan(values).any():
+            raise ValueError(f"a group must be a non-empty list of numbers, got {values}")
+        rows = max(1, _MAX_DRAWS // values.size)
+        shapes = [(min(rows, RESAMPLES - row), values.size) for row in range(0, RESAMPLES, rows)]
+        drawn = [values[rng.integers(values.size, size=shape)].mean(axis=1) for shape in shapes]
+        means.append(np.concatenate(drawn))
+    if not means:
+        raise ValueError("there must be at least one group of values")
+    low, high = np.quantile(np.mean(means, axis=0), quantiles)
+    return float(low), float(high)
 
 
 @dataclass(frozen=True)
@@ -43,8 +84,6 @@ def clustered_mean(
     groups: Sequence[Hashable] | None = None,
     *,
     seed: int = 0,
-    level: float = 0.95,
-    resamples: int = 2000,
 ) -> Estimate:
     """The mean over groups of the mean within each, and its percentile interval.
 
@@ -54,12 +93,9 @@ def clustered_mean(
         groups: what each value is averaged with first, such as its object; None: one group. Every
             group counts the same, however many values it has.
         seed: of the resampling.
-        level: coverage, between 0 and 1.
-        resamples: how many resamples are drawn.
 
     Raises:
-        ValueError: if there are no values, one is not finite, the lists differ in length, or the
-            level is not between 0 and 1.
+        ValueError: if there are no values, one is not finite, or the lists differ in length.
     """
     numbers = np.asarray(values, dtype=np.float64)
     labels = [None] * len(numbers) if groups is None else list(groups)
@@ -72,8 +108,6 @@ def clustered_mean(
             f"values, sequences and groups must be equally many, "
             f"got {len(numbers)}, {len(sequences)} and {len(labels)}"
         )
-    if not 0 < level < 1:
-        raise ValueError(f"level must be between 0 and 1, got {level}")
     group = _numbered(labels)
     cluster, kinds = _clusters(_numbered(sequences), group)
     sums, counts = (np.zeros((len(kinds), group.max() + 1)) for _ in range(2))
@@ -85,14 +119,12 @@ def clustered_mean(
     if np.bincount(kinds).min() == 1:
         return Estimate(value, None, None, *total)
     rng = np.random.default_rng(seed)
-    times = np.zeros((resamples, len(kinds)))
+    times = np.zeros((RESAMPLES, len(kinds)))
     for kind in range(kinds.max() + 1):
         members = np.flatnonzero(kinds == kind)
         shares = np.full(len(members), 1 / len(members))
-        times[:, members] = rng.multinomial(len(members), shares, size=resamples)
-    low, high = np.quantile(
-        _mean_of_means(times @ sums, times @ counts), [(1 - level) / 2, (1 + level) / 2]
-    )
+        times[:, members] = rng.multinomial(len(members), shares, size=RESAMPLES)
+    low, high = np.quantile(_mean_of_means(times @ sums, times @ counts), QUANTILES)
     return Estimate(value, float(low), float(high), *total)
 
 
@@ -105,12 +137,11 @@ def _clusters(sequence: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.n
     size = sequence.max() + 1, group.max() + 1
     shown = coo_array((np.ones(len(group)), (sequence, group)), shape=size).tocsr()
     kind_of_sequence = connected_components(shown @ shown.T)[1]
-    alone = np.bincount(kind_of_sequence)[kind_of_sequence] == 1
-    # The values of a lonely sequence become clusters of their own, a kind for each of its groups.
-    single = alone[sequence]
-    cluster = np.where(single, size[0] + np.arange(len(sequence)), sequence)
-    lonely_kind = size[0] + sequence * size[1] + group
-    kind = np.where(single, lonely_kind, kind_of_sequence[sequence])
+    singleton = (np.bincount(kind_of_sequence)[kind_of_sequence] == 1)[sequence]
+    # The values of a sequence that is alone become clusters, a kind for each of its groups.
+    cluster = np.where(singleton, size[0] + np.arange(len(sequence)), sequence)
+    singleton_kind = size[0] + sequence * size[1] + group
+    kind = np.where(singleton, singleton_kind, kind_of_sequence[sequence])
     _, first, cluster = np.unique(cluster, return_index=True, return_inverse=True)
     return cluster.reshape(-1), np.unique(kind[first], return_inverse=True)[1].reshape(-1)
 

@@ -7,17 +7,17 @@ the error is below a tenth of the object's diameter.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from ..assets.object_model import ObjectModel
 from .geometry import check_rigid, invert, transform
 from .nearest_points import NearestPoints
+
+CORRECT = 0.1
+"""ADD(-S) in diameters below which a pose counts as correct."""
 
 
 class MeasuredObject(Protocol):
@@ -65,7 +65,7 @@ def add_s(
     T_true: np.ndarray,
     points: np.ndarray,
     *,
-    tree: NearestPoints | cKDTree | None = None,
+    tree: NearestPoints | None = None,
 ) -> float:
     """Mean distance from each point under the true pose to the nearest under the estimate (ADD-S).
 
@@ -73,7 +73,7 @@ def add_s(
         T_est: estimated T_cam_obj, (4, 4).
         T_true: true T_cam_obj, (4, 4).
         points: model points in the object's frame, (P, 3), metres.
-        tree: an index of ``points``, if the caller keeps one; :class:`NearestPoints` is quickest.
+        tree: an index of ``points``, if the caller keeps one.
 
     Returns:
         ADD-S in metres.
@@ -86,8 +86,6 @@ def add_s(
     # Distances do not change under a rigid motion, so the search runs in the object's own frame
     # (of the estimate), where one index serves every pose.
     motion = invert(T_est) @ T_true
-    if isinstance(tree, cKDTree):
-        return float(tree.query(transform(motion, points))[0].mean())
     return (NearestPoints(points) if tree is None else tree).mean_distance(motion)
 
 
@@ -129,118 +127,16 @@ def nearest_symmetric_pose(
     return candidates[int(np.argmin(errors))]
 
 
-def keypoint_distance(T_est: np.ndarray, T_true: np.ndarray, object_model: ObjectModel) -> float:
-    """Mean distance between the keypoints under the two poses, in metres.
+def keypoint_distances(keypoints: np.ndarray, T_true: np.ndarray, model: ObjectModel) -> np.ndarray:
+    """Distance (9,) in metres of estimated 3D keypoints (9, 3) from the true ones.
 
-    Of the poses that are equivalent to ``T_true`` under the object's symmetries, the one nearest to
-    the estimate counts.
-
-    Raises:
-        ValueError: if a pose is not rigid.
+    Of the poses that are equivalent to ``T_true`` under the object's symmetries, the one whose
+    keypoints are nearest in the mean counts.
     """
-    T_nearest = nearest_symmetric_pose(T_est, T_true, object_model)
-    return add(T_est, T_nearest, object_model.keypoints)
-
-
-def rotation_error(
-    T_est: np.ndarray, T_true: np.ndarray, symmetries: np.ndarray | None = None
-) -> float:
-    """Angle between the two rotations in radians, the least over the symmetries (S, 4, 4).
-
-    Raises:
-        ValueError: if a pose is not rigid.
-    """
-    T_est, T_true = _check_poses(T_est, T_true)
-    symmetries = np.eye(4)[None] if symmetries is None else np.asarray(symmetries, dtype=float)
-    relative = T_est[:3, :3].T @ T_true[:3, :3] @ symmetries[:, :3, :3]
-    return float(Rotation.from_matrix(relative).magnitude().min())
-
-
-def translation_error(
-    T_est: np.ndarray, T_true: np.ndarray, symmetries: np.ndarray | None = None
-) -> float:
-    """Distance between the two object origins in metres.
-
-    With ``symmetries`` (S, 4, 4) the true pose is the equivalent of least rotation error, so that
-    both errors speak of the same one.
-
-    Raises:
-        ValueError: if a pose is not rigid.
-    """
-    T_est, T_true = _check_poses(T_est, T_true)
-    if symmetries is not None:
-        candidates = T_true @ np.asarray(symmetries, dtype=float)
-        angles = [rotation_error(T_est, T) for T in candidates]
-        T_true = candidates[int(np.argmin(angles))]
-    return float(np.linalg.norm(T_est[:3, 3] - T_true[:3, 3]))
-
-
-def recall(errors: np.ndarray, diameters: np.ndarray | float, threshold: float = 0.1) -> float:
-    """Share of the errors that are below ``threshold`` diameters, 0 to 1.
-
-    Args:
-        errors: ADD(-S) of each estimate, (N,), metres; infinite where there was no estimate.
-        diameters: diameter of each estimate's object, (N,), or one for all, metres.
-        threshold: in diameters.
-
-    Raises:
-        ValueError: if there are no errors, one is NaN, or the shapes do not match.
-    """
-    errors = np.asarray(errors, dtype=np.float64)
-    if errors.ndim != 1 or errors.size == 0:
-        raise ValueError(f"errors must be a non-empty list of numbers, got shape {errors.shape}")
-    if np.isnan(errors).any():
-        raise ValueError("errors has NaN entries; use inf where there was no estimate")
-    diameters = np.asarray(diameters, dtype=np.float64)
-    if diameters.shape not in ((), errors.shape):
-        raise ValueError(
-            f"diameters must be one number or one for each of the {errors.size} errors, "
-            f"got shape {diameters.shape}"
-        )
-    return float((errors < threshold * diameters).mean())
-
-
-def bootstrap_interval(
-    values: np.ndarray,
-    rng: np.random.Generator,
-    level: float = 0.95,
-    *,
-    statistic: Callable[..., np.ndarray] = np.mean,
-    resamples: int = 2000,
-) -> tuple[float, float]:
-    """Percentile bootstrap interval of the mean (or another statistic).
-
-    Args:
-        values: (N,), for a recall the 0/1 outcomes.
-        rng: where the resampling draws from.
-        level: coverage, between 0 and 1.
-        statistic: maps (R, N) and ``axis=1`` to (R,), such as ``np.mean`` or ``np.median``.
-        resamples: how many resamples are drawn.
-
-    Returns:
-        Low and high end of the interval.
-
-    Raises:
-        ValueError: if there are no values, one is NaN, or the level is not between 0 and 1.
-    """
-    values = np.asarray(values, dtype=np.float64)
-    if values.ndim != 1 or values.size == 0:
-        raise ValueError(f"values must be a non-empty list of numbers, got shape {values.shape}")
-    if np.isnan(values).any():
-        raise ValueError("values has NaN entries")
-    if not 0 < level < 1:
-        raise ValueError(f"level must be between 0 and 1, got {level}")
-    # A chunk at a time keeps the memory small for long lists.
-    chunk = max(1, 1_000_000 // values.size)
-    estimates = [
-        statistic(
-            values[rng.integers(values.size, size=(min(chunk, resamples - start), values.size))],
-            axis=1,
-        )
-        for start in range(0, resamples, chunk)
+    distances = [
+        _distances(keypoints, transform(T_true @ S, model.keypoints)) for S in model.symmetries
     ]
-    low, high = np.quantile(np.concatenate(estimates), [(1 - level) / 2, (1 + level) / 2])
-    return float(low), float(high)
+    return min(distances, key=np.mean)
 
 
 @lru_cache(maxsize=128)

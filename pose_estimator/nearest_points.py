@@ -15,16 +15,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 _LEAF = 8
-"""Points in a leaf of FLANN's tree; 6 to 10 were quickest for 1,000 and 5,000 points."""
+"""Points in a leaf of FLANN's tree; 6 to 10 were fastest for 1,000 and 5,000 points."""
 
-_LEAF_OF_FAR = 32
+_FAR_LEAF = 32
 """Points in a leaf of SciPy's tree, where everything is far away."""
 
 _SINGLE_KD_TREE, _UNLIMITED = 4, -1
 """FLANN_INDEX_KDTREE_SINGLE and FLANN_CHECKS_UNLIMITED, which OpenCV's Python does not name."""
 
 _FAR = 1.5
-"""Motion of the points' centre, in radii of the points, from which on it is far."""
+"""Motion of the points' center, in radii of the points, from which on it is far."""
 
 
 class NearestPoints:
@@ -39,12 +39,12 @@ class NearestPoints:
 
     def __init__(self, points: np.ndarray) -> None:
         points = np.asarray(points, dtype=np.float64)
-        self._centre = points.mean(axis=0)
-        centred = points - self._centre
-        self._tree = cKDTree(centred, _LEAF_OF_FAR, balanced_tree=False)
+        self._center = points.mean(axis=0)
+        centered = points - self._center
+        self._tree = cKDTree(centered, _FAR_LEAF, balanced_tree=False)
         # In the order of a tree, so that queries that follow each other walk the same branches.
-        self._points = centred[self._tree.indices]
-        self._radius = float(np.linalg.norm(centred, axis=1).max())
+        self._points = centered[self._tree.indices]
+        self._radius = float(np.linalg.norm(centered, axis=1).max())
         single = self._points.astype(np.float32)
         config = {"algorithm": _SINGLE_KD_TREE, "leaf_max_size": _LEAF}
         self._index = cv2.flann_Index(single, config)  # type: ignore[attr-defined]
@@ -57,7 +57,7 @@ class NearestPoints:
             T: rigid motion, (4, 4).
         """
         R = T[:3, :3]
-        shift = R @ self._centre + T[:3, 3] - self._centre
+        shift = R @ self._center + T[:3, 3] - self._center
         moved = self._points @ R.T
         moved += shift
         if not np.linalg.norm(shift) <= _FAR * self._radius:

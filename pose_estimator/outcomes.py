@@ -1,7 +1,7 @@
-"""What came out of an evaluation, pair by pair, and the figures that sum it up.
+"""The outcomes of an evaluation, pair by pair, and the results that summarize them.
 
-Where somebody else's poses are scored, there is an outcome for each target instead, without what
-only an estimator that runs here can tell: its keypoints and its time.
+Where a file of poses is scored, there is an outcome for each target instead, without what only an
+estimator that runs here can tell: its keypoints and its time.
 """
 
 from __future__ import annotations
@@ -13,7 +13,11 @@ from typing import Any
 import numpy as np
 
 from .bop_results import BopResult
-from .metrics import bootstrap_interval
+from .intervals import bootstrap_interval
+from .metrics import CORRECT
+
+_MEAN_QUANTILES = (0.025, 0.975)
+"""Those of ``intervals`` but for rounding, which the last digit of an interval would show."""
 
 
 @dataclass(frozen=True)
@@ -45,39 +49,38 @@ class Outcome:
     uncertainty: float = 0.0
 
 
-def summarise(outcomes: Sequence[Outcome], tags: Mapping[str, Any], seed: int = 0) -> list[dict]:
-    """Records of the results file: each figure for each object, and the mean over the objects.
+def summarize(outcomes: Sequence[Outcome], tags: Mapping[str, Any], seed: int = 0) -> list[dict]:
+    """Records of the results file: each measure for each object, and the mean over the objects.
 
-    A figure that is not known of every outcome is left out.
+    A measure that is not known of every outcome is left out.
+
+    Raises:
+        ValueError: if there are no outcomes.
     """
     if not outcomes:
         raise ValueError("there is no pair of views with a target to evaluate")
     rng = np.random.default_rng(seed)
     names = list(dict.fromkeys(outcome.object_name for outcome in outcomes))
-    figures: dict[str, tuple[str, Callable[[list[Outcome]], list[Any]]]] = {
-        "add_s_recall": ("", lambda group: [float(o.error < 0.1) for o in group]),
-        "add_over_diameter": ("", lambda group: [min(o.error, 1.0) for o in group]),
+    measures: dict[str, tuple[str, Callable[[Outcome], Any]]] = {
+        "add_s_recall": ("", lambda o: float(o.error < CORRECT)),
+        "add_over_diameter": ("", lambda o: min(o.error, 1.0)),
     }
     if all(o.keypoint_distance is not None for o in outcomes):
-        figures["keypoint_distance"] = ("m", lambda group: [o.keypoint_distance for o in group])
+        measures["keypoint_distance"] = ("m", lambda o: o.keypoint_distance)
     records: list[dict] = []
-    for metric, (unit, values_of) in figures.items():
-        by_object = {
-            name: np.array(values_of([o for o in outcomes if o.object_name == name]))
-            for name in names
-        }
-        for name, values in by_object.items():
-            low, high = bootstrap_interval(values, rng)
-            records.append(
-                {"metric": metric, "value": float(values.mean()), "unit": unit, "object": name,
-                 "low": low, "high": high, "n": len(values), **tags}
-            )  # fmt: skip
-        mean = float(np.mean([values.mean() for values in by_object.values()]))
-        low, high = _interval_of_mean(list(by_object.values()), rng)
-        records.append(
-            {"metric": metric, "value": mean, "unit": unit, "object": "mean",
-             "low": low, "high": high, "n": len(outcomes), **tags}
-        )  # fmt: skip
+    for metric, (unit, measure) in measures.items():
+        groups = [np.array([measure(o) for o in outcomes if o.object_name == n]) for n in names]
+        rows = [
+            (name, values.mean(), bootstrap_interval([values], rng), len(values))
+            for name, values in zip(names, groups, strict=True)
+        ]
+        mean = np.mean([values.mean() for values in groups])
+        rows.append(("mean", mean, bootstrap_interval(groups, rng, _MEAN_QUANTILES), len(outcomes)))
+        records += [
+            {"metric": metric, "value": float(value), "unit": unit, "object": name,
+             "low": low, "high": high, "n": n, **tags}
+            for name, value, (low, high), n in rows
+        ]  # fmt: skip
     times = [o.seconds for o in outcomes if o.seconds is not None]
     if len(times) == len(outcomes):
         seconds = float(np.median(times))
@@ -85,20 +88,8 @@ def summarise(outcomes: Sequence[Outcome], tags: Mapping[str, Any], seed: int = 
     return records
 
 
-def _interval_of_mean(
-    groups: Sequence[np.ndarray], rng: np.random.Generator, resamples: int = 2000
-) -> tuple[float, float]:
-    """95 percent bootstrap interval of the mean over objects, resampled within each object."""
-    means = [
-        values[rng.integers(len(values), size=(resamples, len(values)))].mean(1)
-        for values in groups
-    ]
-    low, high = np.quantile(np.mean(means, axis=0), [0.025, 0.975])
-    return float(low), float(high)
-
-
 def print_table(records: Sequence[Mapping[str, Any]], title: str, counted: str = "pairs") -> None:
-    """Prints the figures of :func:`summarise` for people; ``counted`` says of what they are."""
+    """Prints the results of :func:`summarize` for people; ``counted`` says of what they are."""
     from rich.console import Console
     from rich.table import Table
 

@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
-from . import METHODS
-from .criteria import criteria
-from .published import PAPER, TITLE
-from .report_html import Cell, Row, definitions, figure, page, table
-from .report_tables import (
-    cost_table,
-    keypoint_table,
-    noise_table,
-    recall_table,
-    solver_table,
-    training_table,
-)
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from . import METHODS, published, report_tables
 from .results import read_results, write_atomically
 from .study_figures import draw_charts
 
-TESTS = {"linemod": "LineMOD-style", "occlusion": "Occlusion-style"}
+TEMPLATE = "report.html.j2"
 
-Records = Sequence[Mapping[str, Any]]
+_IMAGE_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
 
 
 def write_report(folder: Path) -> Path:
@@ -58,210 +49,72 @@ def _example_number(path: Path) -> tuple[int, str]:
 def report_page(
     document: Mapping[str, Any], charts: Mapping[str, Path], pictures: Sequence[Path]
 ) -> str:
-    """The page of a results document, with its charts by name and its pictures."""
+    """The page of a results document: one self-contained file that needs no network.
+
+    Args:
+        document: see ``results``.
+        charts: SVG files by what they show, see :func:`~.study_figures.draw_charts`.
+        pictures: PNG files ``example_N.png`` and ``insides_N.png``.
+    """
     records = document["records"]
-    sections = [
-        ("Must be, is", _criteria_section(records)),
-        ("Keypoints in space", _keypoint_section(records)),
-        ("Keypoints by distance", _distance_section(charts)),
-        ("Poses", _pose_section(records)),
-        ("Solvers", _solver_section(records)),
-        ("Wrong relative poses", _noise_section(records, charts)),
-        ("Training", _training_section(records)),
-        ("Cost", _cost_section(records)),
-        ("Pictures", "\n".join(figure(path, _caption(path, records)) for path in pictures)),
-        ("How it was made", _origin_section(document)),
-    ]
-    return page(
-        "Which fusion of two views recovers an object best?",
-        [(name, content) for name, content in sections if content],
-        _head(document),
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).with_name("templates")),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(TEMPLATE).render(
+        command=document["command"],
+        tests=report_tables.TESTS,
+        paper=published,
+        missing=[r for r in records if r["metric"] == "missing"],
+        methods={r.get("method") for r in records if r["metric"] == "add_s_recall"},
+        keypoint_tables=_by_test(records, report_tables.keypoint_table),
+        recall_tables=_by_test(records, report_tables.recall_table),
+        solver_table=report_tables.solver_table(records),
+        noise_table=report_tables.noise_table(records),
+        training_table=report_tables.training_table(records),
+        cost_table=report_tables.cost_table(records),
+        charts={name: data_uri(path) for name, path in charts.items()},
+        pictures=[(path.stem, data_uri(path)) for path in pictures],
+        origin=_origin(document),
     )
 
 
-def _head(document: Mapping[str, Any]) -> str:
-    records = document["records"]
-    lines = [
-        '<p class="lead">Five ways from pictures to a 6D pose, measured on the same simulated '
-        "hand-held sequences: one view, three fusions of two views, and one view with a depth "
-        f"sensor. After <i>{escape(TITLE)}</i> ({PAPER}).</p>",
-        "<p>All our figures are on simulated scenes with objects of our own making. Figures that "
-        'the paper published, on photographs, stand in <span class="paper">&nbsp;columns like '
-        "this&nbsp;</span>: they say what to expect, and cannot be subtracted from ours.</p>",
-        "<p>Small print under a figure is its interval of 95 percent, from a bootstrap over "
-        "sequences. <b>Bold</b> is the best of a row.</p>",
-    ]
-    if "--quick" in document["command"]:
-        lines.append(
-            '<p class="notice"><b>A quick run.</b> A handful of pairs: the figures show that '
-            "everything works, not how well.</p>"
-        )
-    missing = [r for r in records if r["metric"] == "missing"]
-    if missing:
-        items = "".join(f"<li>{_missing_text(r)}</li>" for r in missing)
-        lines.append(f'<div class="notice"><b>Missing</b><ul>{items}</ul></div>')
-    return "\n".join(lines)
+def data_uri(path: Path) -> str:
+    """An SVG or PNG file as an address that holds it."""
+    data = base64.b64encode(path.read_bytes()).decode()
+    return f"data:{_IMAGE_TYPES[path.suffix]};base64,{data}"
 
 
-def _missing_text(record: Mapping[str, Any]) -> str:
-    training = f", weights with {record['training']}" if record.get("training") else ""
-    scene = f" on the {TESTS[record['scene']]} test" if record.get("scene") else ""
-    return f"<b>{escape(record['method'])}</b>{training}{scene}: {escape(record['reason'])}"
+def _by_test(records: report_tables.Records, make: Any) -> dict[str, report_tables.Table]:
+    """Tables by test, those without results left out."""
+    made = {test: make(records, test) for test in report_tables.TESTS}
+    return {test: table for test, table in made.items() if table is not None}
 
 
-def _criteria_section(records: Records) -> str:
-    styles = {"met": "met", "short": "short", "not measured": "none"}
-    rows: list[Row] = [
-        [
-            c.what,
-            Cell(c.paper, style="paper"),
-            c.bar,
-            Cell(c.found, style="text" if len(c.found) > 40 else ""),
-            Cell(c.verdict, style=styles.get(c.verdict, "unsure")),
-        ]
-        for c in criteria(records)
-    ]
-    note = (
-        '<p class="note">Unsure: the interval reaches to the other side of the bar, or there is '
-        "none. The paper's figures are of real LineMOD and Occlusion LineMOD.</p>"
-    )
-    return table(["", Cell("paper", style="paper"), "must be", "is", ""], rows) + note
-
-
-def _keypoint_section(records: Records) -> str:
-    parts = [
-        "<p>Mean distance of the nine predicted 3D keypoints from the truth, in millimetres, by "
-        "the frames that lie between the two views. One gap is 1.5 to 3 cm of camera path. "
-        "<code>rgbd</code> sees one view and its depth map.</p>"
-    ]
-    for scene, title in TESTS.items():
-        content = keypoint_table(records, scene)
-        if content:
-            number = "Table 1: " if scene == "linemod" else ""
-            parts.append(f"<h3>{number}{title} test</h3>{content}")
-    return "\n".join(parts) if len(parts) > 1 else ""
-
-
-def _distance_section(charts: Mapping[str, Path]) -> str:
-    return "\n".join(
-        figure(
-            charts[f"recall_{scene}"],
-            f"Figure 4, {title} test: share of keypoints nearer than 3 cm to the truth, against "
-            "the distance of the camera from the object, at gap 10. Bands: 95 percent intervals.",
-        )
-        for scene, title in TESTS.items()
-        if f"recall_{scene}" in charts
-    )
-
-
-def _pose_section(records: Records) -> str:
-    parts = []
-    for number, (scene, title) in enumerate(TESTS.items(), start=2):
-        content = recall_table(records, scene)
-        if content:
-            parts.append(
-                f"<h3>Table {number}: {title} test, share of poses with ADD(-S) below a tenth of "
-                f"the diameter, percent, gap 10</h3>{content}"
-            )
-    return "\n".join(parts)
-
-
-def _solver_section(records: Records) -> str:
-    content = solver_table(records)
-    if not content:
-        return ""
-    return (
-        "<p>The same predicted keypoints, solved three ways: Soft RANSAC (the paper's average of "
-        "all 84 three-point poses), least squares over all nine points (Kabsch), and RANSAC with "
-        "a hard choice. Share of poses with ADD(-S) below a tenth of the diameter, percent, at "
-        "gap 10; differences are taken pair by pair.</p>" + content
-    )
-
-
-def _noise_section(records: Records, charts: Mapping[str, Path]) -> str:
-    content = noise_table(records)
-    if not content:
-        return ""
-    parts = [
-        "<p>No hand-eye calibration is exact. Here the methods are told a relative pose that is "
-        "turned and shifted by so much, in a random direction (LineMOD-style test, gap 10).</p>",
-        content,
-    ]
-    if "noise" in charts:
-        parts.append(figure(charts["noise"], "The same as curves, and either error alone."))
-    return "\n".join(parts)
-
-
-def _training_section(records: Records) -> str:
-    content = training_table(records)
-    if not content:
-        return ""
-    return (
-        "<p>Mid-Fusion with weights from other trainings, on the same pairs at gap 10. Gain: the "
-        "usual weights' figure less the other's; of a distance it is good below zero.</p>" + content
-    )
-
-
-def _cost_section(records: Records) -> str:
-    content = cost_table(records)
-    if not content:
-        return ""
-    return (
-        content + '<p class="note">Batch 1: median wall time of whole estimates, full frames in, '
-        "pose out, methods in turn. Batch 16: the networks run on 16 pairs at once; what lies "
-        "between them (decoding, votes, solvers) is counted as for one pair, as the estimators "
-        "answer one pair at a time.</p>"
-    )
-
-
-def _caption(path: Path, records: Records) -> str:
-    if path.stem.startswith("example"):
-        return (
-            "Figure 5: what each method predicts, with the mean distance of its keypoints. The "
-            "pair was picked by chance."
-        )
-    methods = {r.get("method") for r in records if r["metric"] == "add_s_recall"}
-    parts = ["Figure 6: inside the networks for the same pair."]
-    if "early" in methods:
-        parts.append("early: the depth map of the region of interest, beside the sensor's.")
-    if "mid" in methods:
-        parts.append(
-            "mid: a slice through the fine volume from above, its features as colours, and where "
-            "the nine keypoints are believed to be. Rings: true keypoints, crosses: predicted."
-        )
-    return " ".join(parts)
-
-
-def _origin_section(document: Mapping[str, Any]) -> str:
-    records = document["records"]
-    entries = [
-        ("command", f"<code>python -m two_view_pose {escape(document['command'])}</code>"),
-        ("seed", str(document["seed"])),
-        (
-            "versions",
-            ", ".join(f"{escape(k)} {escape(v)}" for k, v in document["versions"].items()),
-        ),
-    ]
-    commits = {c for r in records if r["metric"] == "run" for c in r["commits"].split()}
+def _origin(document: Mapping[str, Any]) -> dict[str, Sequence[str]]:
+    """Where the results come from: texts by name, of which a list is set as code."""
+    runs = [r for r in document["records"] if r["metric"] == "run"]
+    versions = ", ".join(f"{name} {version}" for name, version in document["versions"].items())
+    entries: dict[str, Sequence[str]] = {
+        "command": [f"python -m two_view_pose {document['command']}"],
+        "seed": str(document["seed"]),
+        "versions": versions,
+    }
+    commits = sorted({commit for run in runs for commit in run["commits"].split()})
     if commits:
-        entries.append(("commit", ", ".join(f"<code>{c[:12]}</code>" for c in sorted(commits))))
-    for record in records:
+        entries["commit"] = [commit[:12] for commit in commits]
+    for record in document["records"]:
         if record["metric"] == "test_set":
             settings = json.loads(record["settings"])
             seed = f", seed {settings['seed']}" if "seed" in settings else ""
-            entries.append(
-                (
-                    f"{TESTS[record['scene']]} test",
-                    f"{record['sequences']} sequences, {record['references']} reference frames, "
-                    f"{record['value']} pairs{seed}",
-                )
+            entries[f"{report_tables.TESTS[record['scene']]} test"] = (
+                f"{record['sequences']} sequences, {record['references']} reference frames, "
+                f"{record['value']} pairs{seed}"
             )
-    networks = {
-        (r["method"], r["training"]): r["networks"] for r in records if r["metric"] == "run"
-    }
-    for method in METHODS:
-        for (name, training), digest in networks.items():
-            if name == method:
-                label = f"{method} networks" + (f", {training}" if training else "")
-                entries.append((label, f"<code>{digest}</code>"))
-    return definitions(entries)
+    for run in sorted(runs, key=lambda run: METHODS.index(run["method"])):
+        training = f", {run['training']}" if run["training"] else ""
+        entries[f"{run['method']} networks{training}"] = [run["networks"]]
+    return entries

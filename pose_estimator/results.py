@@ -108,7 +108,7 @@ def write_results(
     Args:
         path: the JSON file; its folder is made if need be.
         records: see `check_record`.
-        command: the command line's verb and arguments, so that a reader can repeat it.
+        command: the command and its arguments, so that a reader can repeat it.
         seed: the seed of the command, None if it draws nothing.
 
     Raises:

@@ -1,4 +1,4 @@
-"""How well the poses of a result file do, whoever estimated them."""
+"""Scores the poses of a result file of any method."""
 
 from __future__ import annotations
 
@@ -13,16 +13,13 @@ from .bop_objects import EvaluationObject, dataset_objects
 from .bop_results import BopResult, read_bop_results
 from .bop_targets import BopTarget, read_targets
 from .evaluate_config import EvaluateConfig
-from .metrics import add_or_add_s
-from .outcomes import Outcome, print_table, summarise
+from .metrics import CORRECT, add_or_add_s
+from .outcomes import Outcome, print_table, summarize
 from .results import write_results
-
-CORRECT = 0.1
-"""Error in diameters below which a pose counts as found."""
 
 
 def score_file(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]) -> list[dict]:
-    """Scores the file ``config.score`` on the dataset at ``root``, prints and writes the figures.
+    """Scores the file ``config.score`` on the dataset at ``root``, prints and writes the results.
 
     Raises:
         ValueError: if the file or the dataset is not usable; the message names file and line.
@@ -39,7 +36,7 @@ def score_file(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]) -> l
     outcomes = score_results(results, targets, truths, objects)
     # BOP's names of files begin with the method's, METHOD_DATASET-SPLIT.csv.
     tags = {"method": config.score.stem.split("_")[0], **tags}
-    records = summarise(outcomes, tags, config.seed)
+    records = summarize(outcomes, tags, config.seed)
     print_table(records, ", ".join(map(str, tags.values())), counted="targets")
     asked = {target[:3] for target in targets}
     missing = sum(np.isinf(outcome.error) for outcome in outcomes)
@@ -76,7 +73,7 @@ def score_results(
         One outcome for each instance to be found; its error is infinite where no estimate is left.
 
     Raises:
-        ValueError: if the dataset does not have a target's picture, object or true pose.
+        ValueError: if the dataset does not have a target's image, object or true pose.
     """
     of_target: dict[tuple[int, int, int], list[BopResult]] = {}
     for result in results:

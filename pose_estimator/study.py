@@ -1,7 +1,7 @@
 """The comparative study: every method on the same pairs of views, measured against the truth.
 
 The truth enters here only, after a method has answered. Outcomes are kept pair by pair in the
-folder of the study, and the same command goes on where it was stopped.
+folder of the study, and the same command resumes a run that was stopped.
 """
 
 from __future__ import annotations
@@ -12,29 +12,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from ..assets.object_model import ObjectModel
 from .batching import batch_size, estimate_all
-from .bop import (
-    BopAnnotation,
-    BopDataset,
-    BopImage,
-    BopPair,
-    read_dataset,
-    read_depth,
-    read_pairs,
-    read_rgb,
-)
+from .bop import BopDataset, BopPair, read_dataset, read_pairs, read_rgb
 from .bop_pairs import PAIRS_FILE
 from .estimate import PoseEstimate
-from .geometry import View, transform
-from .metrics import add_or_add_s
+from .evaluate_pairs import AnnotatedPair, annotated_pair, baseline_at, read_views
+from .geometry import View
+from .metrics import add_or_add_s, keypoint_distances
 from .solvers import SOLVERS, solve_pose
 from .study_log import OutcomeLog, PairOutcome
-from .study_units import ONE_VIEW, Unit, choose_pairs, told_pose
+from .study_units import ONE_VIEW, Unit, choose_pairs, perturbed_pose
+
+OUTCOME_FORMAT = 1
+"""Part of the key of outcomes that are kept: to be raised with every change of this module, of
+``study_units`` or of an estimator after which a pair would be measured differently."""
 
 
 class Estimator(Protocol):
@@ -52,9 +48,9 @@ class StudySet:
 
     Attributes:
         name: ``linemod`` or ``occlusion``.
-        dataset: its pictures and true poses.
+        dataset: its images and true poses.
         pairs: of views, each with its gap.
-        description: what its maker wrote about it.
+        description: its manifest.
     """
 
     name: str
@@ -92,10 +88,10 @@ def run_unit(
     Args:
         unit: what to measure.
         estimator: the method, with its weights.
-        test: where the pictures and the truth are.
+        test: where the images and the truth are.
         objects: the models that are looked for.
-        log: is added to, one pair after the other.
-        seed: of the errors that the method is told.
+        log: is added to, one batch of pairs after the other.
+        seed: of the errors of the relative pose.
         progress: whether to show a bar.
 
     Returns:
@@ -110,54 +106,39 @@ def run_unit(
     if not work:
         raise ValueError(f"the {unit.test} test has no pair for {unit.method}, gaps {unit.gaps}")
     done = {outcome.key for outcome in log.outcomes}
-    cases = [
+    left = [
         (pair, name)
         for pair, name in work
         if (pair.scene_id, pair.ref_image_id, pair.second_image_id, name) not in done
     ]
-    answers = _Answers(estimator, unit)
+    answers = _Answers(estimator, unit, seed)
     scenes = lru_cache(maxsize=2)(test.dataset.scene)
     size = batch_size(estimator)
     with tqdm(
-        total=len(work), initial=len(work) - len(cases), desc=unit.name, unit="pair",
+        total=len(work), initial=len(work) - len(left), desc=unit.name, unit="pair",
         disable=not progress,
     ) as bar:  # fmt: skip
-        for start in range(0, len(cases), size):
-            few = cases[start : start + size]
-            asked = []
-            for pair, name in few:
-                scene = scenes(pair.scene_id)
-                reference, second = scene[pair.ref_image_id], scene[pair.second_image_id]
-                truth = reference.annotation(objects[name].obj_id)
-                if truth is not None and second.annotation(objects[name].obj_id) is not None:
-                    T_second_ref = told_pose(unit, pair, seed)
-                    asked.append(_Case(pair, name, reference, second, T_second_ref, truth))
-            found = answers.get(asked)
+        for start in range(0, len(left), size):
+            batch = left[start : start + size]
+            found = [
+                annotated_pair(pair, name, objects[name].obj_id, scenes(pair.scene_id))
+                for pair, name in batch
+            ]
+            cases = [case for case in found if case is not None]
             log.add(
                 [
                     _outcome(case, *answer, objects[case.name], unit)
-                    for case, answer in zip(asked, found, strict=True)
+                    for case, answer in zip(cases, answers.get(cases), strict=True)
                 ]
             )
-            bar.update(len(few))
+            bar.update(len(batch))
     return log.outcomes
 
 
-class _Case(NamedTuple):
-    """A pair with an object: both images, the relative pose that the method is told, the truth."""
-
-    pair: BopPair
-    name: str
-    reference: BopImage
-    second: BopImage
-    T_second_ref: np.ndarray
-    truth: BopAnnotation
-
-
 def _outcome(
-    case: _Case, estimate: PoseEstimate, seconds: float, model: ObjectModel, unit: Unit
+    case: AnnotatedPair, estimate: PoseEstimate, seconds: float, model: ObjectModel, unit: Unit
 ) -> PairOutcome:
-    pair, truth = case.pair, case.truth
+    pair, truth = case.pair, case.truths[0]
     assert pair.gap is not None
     return PairOutcome(
         scene_id=pair.scene_id,
@@ -167,7 +148,7 @@ def _outcome(
         gap=pair.gap,
         camera_distance=float(np.linalg.norm(truth.T_cam_obj[:3, 3])),
         visibility=truth.visibility,
-        baseline=float(pair.baselines_deg.get(truth.obj_id, pair.baseline_deg)),
+        baseline=baseline_at(pair, truth.obj_id),
         seconds=seconds,
         **compare_with_truth(estimate, truth.T_cam_obj, model, solvers=unit.method != "single"),
     )
@@ -213,31 +194,23 @@ def _used_covariance(estimate: PoseEstimate, model: ObjectModel) -> np.ndarray |
     return covariance if away(covariance) < away(None) else None
 
 
-def keypoint_distances(keypoints: np.ndarray, T_true: np.ndarray, model: ObjectModel) -> np.ndarray:
-    """Distance (9,) in metres of 3D keypoints (9, 3) from the truth.
-
-    Of the poses that the object's symmetries make equal, the one nearest to the keypoints counts.
-    """
-    truths = [transform(T_true @ S, model.keypoints) for S in model.symmetries]
-    distances = [np.linalg.norm(keypoints - truth, axis=1) for truth in truths]
-    return min(distances, key=np.mean)
-
-
 class _Answers:
-    """Asks a method, and remembers what it said of a single view, which has several partners."""
+    """Asks a method, and remembers its estimates of single views, which have several partners."""
 
-    def __init__(self, estimator: Estimator, unit: Unit):
+    def __init__(self, estimator: Estimator, unit: Unit, seed: int):
         self._estimator = estimator
-        self._method = unit.method
+        self._unit = unit
+        self._seed = seed
+        self._one_view = unit.method in ONE_VIEW
         self._last: dict[tuple, tuple[PoseEstimate, float]] = {}
         self._read = lru_cache(maxsize=16)(read_rgb)
 
-    def get(self, cases: Sequence[_Case]) -> list[tuple[PoseEstimate, float]]:
+    def get(self, cases: Sequence[AnnotatedPair]) -> list[tuple[PoseEstimate, float]]:
         """The estimate of each case, and the seconds that it took."""
         keys = [self._key(case) for case in cases]
         known = {key: self._last[key] for key in keys if key in self._last}
         new = {key: case for key, case in zip(keys, cases, strict=True) if key not in known}
-        # Views are new each time: a method that remembers views has to work all the same.
+        # Views are new objects each time: estimators that cache views have to compute all the same.
         requests = [(self._views(case), case.name) for case in new.values()]
         start = time.perf_counter()
         estimates = estimate_all(self._estimator, requests)
@@ -246,15 +219,14 @@ class _Answers:
         self._last = known
         return [known[key] for key in keys]
 
-    def _key(self, case: _Case) -> tuple:
+    def _key(self, case: AnnotatedPair) -> tuple:
         """What an answer depends on."""
         pair = case.pair
-        second = () if self._method in ONE_VIEW else (pair.second_image_id,)
+        second = () if self._one_view else (pair.second_image_id,)
         return (pair.scene_id, pair.ref_image_id, case.name, *second)
 
-    def _views(self, case: _Case) -> list[View]:
-        depth = read_depth(case.reference) if self._method == "rgbd" else None
-        views = [View(self._read(case.reference), case.reference.K, np.eye(4), depth)]
-        if self._method not in ONE_VIEW:
-            views.append(View(self._read(case.second), case.second.K, case.T_second_ref))
-        return views
+    def _views(self, case: AnnotatedPair) -> list[View]:
+        images = case.images[:1] if self._one_view else case.images
+        T_second_ref = perturbed_pose(self._unit, case.pair, self._seed)
+        depth = self._unit.method == "rgbd"
+        return read_views(images, T_second_ref, depth=depth, read=self._read)

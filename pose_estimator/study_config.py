@@ -1,4 +1,4 @@
-"""Options of the verb ``compare``."""
+"""Options of the command ``compare``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class CompareConfig:
     """The comparative study: all methods on the same two tests, as tables, figures and a page.
 
     Writes results.json, report.html and figures/ to --out. Every pair of views is kept there once
-    it is measured, so a run that was killed is finished by the same command.
+    it is measured, so the same command resumes a run that was killed.
     """
 
     out: Path
@@ -26,8 +26,8 @@ class CompareConfig:
     methods: tuple[str, ...] = METHODS
     """Which methods to run: single, early, late, mid, rgbd."""
     weights: str = "linemod"
-    """Name of shipped weights, or a .safetensors file. Methods that it was not trained for are
-    reported as missing."""
+    """Name of shipped weights, or a .safetensors file. Methods whose networks they
+    lack are reported as not available."""
     noisy_weights: str | None = None
     """Weights that were trained with errors of the relative pose, to compare under such errors."""
     no_pose_loss_weights: str | None = None
@@ -40,10 +40,8 @@ class CompareConfig:
     """Pairs for each object under every error of the relative pose; 0 = all."""
     pictures: int = 2
     """Pairs of each test to draw."""
-    cost_repeats: int = 20
-    """Timed estimates of each method."""
     seed: int = 0
-    """Of the errors of the relative pose, the pairs that are drawn, and the intervals. The tests
+    """Random seed of the errors of the relative pose and of the pairs that are drawn. The tests
     have seeds of their own."""
     device: str = "auto"
     """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
@@ -62,8 +60,6 @@ class CompareConfig:
         for name in ("pairs", "noise_pairs", "pictures", "seed", "threads"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} must be at least 0, got {getattr(self, name)}")
-        if self.cost_repeats < 1:
-            raise ValueError(f"cost_repeats must be at least 1, got {self.cost_repeats}")
 
     @property
     def test_data(self) -> Path:
@@ -71,10 +67,13 @@ class CompareConfig:
         return self.data or self.out / "data"
 
     def reduced(self) -> CompareConfig:
-        """As it is, or with few repeats where it shall be quick."""
-        if not self.quick:
-            return self
-        return replace(self, noise_pairs=1, pictures=1, cost_repeats=2)
+        """As it is, or with few pairs where it shall be quick."""
+        return replace(self, noise_pairs=1, pictures=1) if self.quick else self
+
+    @property
+    def cost_repeats(self) -> int:
+        """Timed estimates of each method."""
+        return 2 if self.quick else 20
 
     @property
     def per_gap(self) -> int:
@@ -92,7 +91,7 @@ class CompareConfig:
         for name in (*files, "pairs", "noise_pairs", "seed"):
             value = getattr(self, name)
             if value != getattr(type(self), name):
-                # Where a file lies on this machine is nobody's business.
+                # Without the folders of this machine.
                 text = Path(value).name if name in files else str(value)
                 words += [f"--{name.replace('_', '-')}", text]
         return " ".join(words)

@@ -1,6 +1,6 @@
 """What a pair of views costs: estimates one at a time, and in a batch.
 
-The methods take turns on the same pairs, so that what else the machine does meets all alike.
+The methods take turns on the same pairs, so that other load of the machine affects all alike.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def measure(
 
     Args:
         estimators: method -> estimator.
-        pairs: each makes the views that a method is given, anew, and the object's name.
+        pairs: each reads the views that a method is given, and the object's name.
         repeats: timed estimates of each method; the median counts.
         progress: whether to show a bar.
 

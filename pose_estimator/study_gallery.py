@@ -1,4 +1,4 @@
-"""Which pairs the study draws and times, and how they are given to the methods."""
+"""Which pairs the study draws and times."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from ..assets.object_model import ObjectModel
-from .bop import BopPair, read_depth, read_rgb
+from .bop import BopPair, read_depth
+from .evaluate_pairs import read_views
 from .geometry import View
 from .study import Estimator, StudySet
 from .study_cost import BATCH
-from .study_insides import draw_insides
+from .study_insides import plot_activations
 from .study_pictures import Example, draw_example
 from .study_units import BEST_GAP, ONE_VIEW, Unit, choose_pairs
 
@@ -29,7 +30,7 @@ def draw_gallery(
     count: int,
     seed: int,
 ) -> None:
-    """Draws Figures 5 and 6 for pairs that chance picks; pictures of an earlier run go.
+    """Draws Figures 5 and 6 for pairs that are drawn at random; removes those of an earlier run.
 
     Args:
         tests: of each, ``count`` pairs are drawn.
@@ -37,7 +38,7 @@ def draw_gallery(
         objects: the models.
         folder: where the PNG files go.
         count: pairs of each test.
-        seed: of the choice.
+        seed: of the draw.
     """
     for old in folder.glob("*.png"):
         old.unlink()
@@ -49,7 +50,7 @@ def draw_gallery(
             number += 1
             example, depth = make_example(test, work[chosen], estimators, objects)
             draw_example(example, folder / f"example_{number}.png")
-            draw_insides(example, estimators, depth, folder / f"insides_{number}.png")
+            plot_activations(example, estimators, depth, folder / f"insides_{number}.png")
 
 
 def make_example(
@@ -85,15 +86,12 @@ def make_example(
 
 
 def make_views(test: StudySet, work: Work, method: str) -> list[View]:
-    """What a method is given, read anew: one view or two, and depth where it may see it."""
+    """What a method is given, newly read: one view or two, and depth where it may see it."""
     pair, _ = work
     scene = test.dataset.scene(pair.scene_id)
-    reference, second = scene[pair.ref_image_id], scene[pair.second_image_id]
-    depth = read_depth(reference) if method == "rgbd" else None
-    views = [View(read_rgb(reference), reference.K, np.eye(4), depth)]
-    if method not in ONE_VIEW:
-        views.append(View(read_rgb(second), second.K, pair.T_second_ref))
-    return views
+    images = [scene[pair.ref_image_id], scene[pair.second_image_id]]
+    used = images[:1] if method in ONE_VIEW else images
+    return read_views(used, pair.T_second_ref, depth=method == "rgbd")
 
 
 def at_best_gap(test: StudySet, objects: Mapping[str, ObjectModel]) -> list[Work]:

@@ -1,7 +1,7 @@
-"""Figure 6: what lies between the pictures and the keypoints.
+"""Figure 6: what lies between the images and the keypoints.
 
 Of Early-Fusion the depth map; of Mid-Fusion the features and the distribution of the keypoints in
-its volume, cut through the object's centre.
+its volume, cut through the object's center.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from .volume import LevelOutput, VolumeNet
 
 
-def draw_insides(
+def plot_activations(
     example: Example,
     estimators: Mapping[str, Estimator],
     depth: np.ndarray | None,
@@ -39,13 +39,13 @@ def draw_insides(
     """Figure 6 for the networks that there are.
 
     Args:
-        example: the pair; its methods' answers say where the truth's symmetric twin is nearest.
+        example: the pair; its methods' answers select the symmetric equivalent of the truth.
         estimators: ``early`` and ``mid`` are looked into.
         depth: the reference's depth map as the sensor saw it, (H, W) m, to draw beside; or None.
-        path: of the picture.
+        path: of the figure.
 
     Returns:
-        The picture, or None if neither method is there.
+        The figure, or None if neither method is there.
     """
     rows = [method for method in ("early", "mid") if method in estimators]
     if not rows:
@@ -59,13 +59,16 @@ def draw_insides(
         estimator = estimators[method]
         networks: Any = estimator.networks  # type: ignore[attr-defined]
         if method == "early":
-            with overheard(networks.cascade) as heard:
+            with capture_forward(networks.cascade) as calls:
                 estimator.estimate(views, name)
-            (given, *_), outputs = heard[-1]
+            (given, *_), outputs = calls[-1]
             around = example.T_cam_obj[2, 3] + 0.8 * example.model.diameter * np.array([-1, 1])
             draw_depth(row, example.reference, given.K[0, 0].numpy(), outputs[-1], depth, around)
         else:
-            with overheard(networks.volume.fine.trunk) as trunk, overheard(networks.volume) as top:
+            with (
+                capture_forward(networks.volume.fine.trunk) as trunk,
+                capture_forward(networks.volume) as top,
+            ):
                 answer = estimator.estimate(views, name)
             T_near = nearest_symmetric_pose(answer.T_cam_obj, example.T_cam_obj, example.model)
             truth = transform(T_near, example.model.keypoints)
@@ -91,7 +94,7 @@ def draw_depth(
         K_crop: (3, 3) camera of the crop.
         stage: the cascade's last :class:`~.cascade.DepthOutput`.
         sensed: depth map of the whole view, (H, W) m, 0 = unknown, or None.
-        around: (2,) ends of the depths that the colours tell apart, m.
+        around: (2,) ends of the depths that the colors tell apart, m.
     """
     found = stage.depth[0].float().numpy()
     side = found.shape[0] * stage.stride
@@ -112,8 +115,8 @@ def draw_depth(
             ("depth sensor (m)", known, "viridis", low, high),
             ("difference (mm)", 1e3 * np.abs(found - known), "magma", 0, 50),
         ]
-    for axis, (title, picture, colours, least, most) in zip(axes[1:], panels, strict=False):
-        image = axis.imshow(picture, cmap=colours, vmin=least, vmax=most)
+    for axis, (title, values, colors, minimum, maximum) in zip(axes[1:], panels, strict=False):
+        image = axis.imshow(values, cmap=colors, vmin=minimum, vmax=maximum)
         bar = axis.figure.colorbar(image, ax=axis, fraction=0.05, pad=0.03)
         bar.ax.tick_params(labelsize=7)
         bar.outline.set_visible(False)  # type: ignore[operator]
@@ -126,16 +129,16 @@ def draw_depth(
 
 
 @contextmanager
-def overheard(module: nn.Module) -> Iterator[list[tuple[tuple[Any, ...], Any]]]:
-    """Notes inputs and output of every run of a module while the context is open, on the CPU."""
-    heard: list[tuple[tuple[Any, ...], Any]] = []
+def capture_forward(module: nn.Module) -> Iterator[list[tuple[tuple[Any, ...], Any]]]:
+    """Records inputs and output of every call of a module while the context is open, on the CPU."""
+    calls: list[tuple[tuple[Any, ...], Any]] = []
 
-    def note(_: nn.Module, given: tuple[Any, ...], out: Any) -> None:
-        heard.append(tree_map_only(Tensor, Tensor.cpu, (given, out)))
+    def record(_: nn.Module, given: tuple[Any, ...], out: Any) -> None:
+        calls.append(tree_map_only(Tensor, Tensor.cpu, (given, out)))
 
-    hook = module.register_forward_hook(note)
+    hook = module.register_forward_hook(record)
     try:
-        yield heard
+        yield calls
     finally:
         hook.remove()
 
@@ -164,10 +167,10 @@ def draw_volume(
     channels = volume.fine.outside.numel()
     parts = trunk_input[0, : 2 * channels].float().unflatten(0, (2, channels))
     names = ("features, reference view", "features, second view")
-    for axis, title, colours in zip(axes[:2], names, _colours(parts), strict=True):
+    for axis, title, colors in zip(axes[:2], names, _colors(parts), strict=True):
         # From above: x to the right, z (depth) upwards.
         axis.imshow(
-            colours[:, middle].transpose(1, 0, 2), origin="lower",
+            colors[:, middle].transpose(1, 0, 2), origin="lower",
             extent=_extent(edges, (0, 2), half), interpolation="nearest",
         )  # fmt: skip
         _mark(axis, 100 * truth[:, [0, 2]], "o", mfc="none", mec="white", ms=6)
@@ -181,9 +184,9 @@ def draw_volume(
         # Each keypoint's marginal, scaled to its peak: all nine can be seen.
         marginal = probability.sum(axis=gone + 1)
         marginal = (marginal / marginal.max(axis=(1, 2), keepdims=True)).max(axis=0)
-        picture = marginal.T if a < b else marginal
+        image = marginal.T if a < b else marginal
         axis.imshow(
-            picture, origin="lower", extent=_extent(edges, (a, b), half), cmap="magma",
+            image, origin="lower", extent=_extent(edges, (a, b), half), cmap="magma",
             interpolation="nearest",
         )  # fmt: skip
         found = level.keypoints[0].numpy()
@@ -201,8 +204,8 @@ def _mark(axis: Axes, points: np.ndarray, mark: str, **style: Any) -> None:
     axis.plot(points[:, 0], points[:, 1], mark, **style)
 
 
-def _colours(parts: Tensor) -> np.ndarray:
-    """Features (V, C, N, N, N) as colours (V, N, N, N, 3): their three main directions."""
+def _colors(parts: Tensor) -> np.ndarray:
+    """Features (V, C, N, N, N) as colors (V, N, N, N, 3): their three main directions."""
     flat = parts.movedim(1, -1).reshape(-1, parts.shape[1])
     flat = flat - flat.mean(0)
     _, _, directions = torch.linalg.svd(flat, full_matrices=False)

@@ -1,10 +1,10 @@
-"""What a study has measured so far, one line a pair of views, so that a killed run goes on."""
+"""What a study has measured so far, one line a pair of views, so that a killed run can resume."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -54,37 +54,35 @@ class PairOutcome:
         return sum(self.distances) / len(self.distances)
 
 
-_NAMES = frozenset(f.name for f in fields(PairOutcome))
-
-
 class OutcomeLog:
-    """A file that outcomes are added to, below a line that says how they were made.
-
-    What an earlier run left is read if it was made in the same way, and replaced if not.
+    """A file that outcomes are appended to, below a line with the key of how they were made.
 
     Args:
         path: the file; its folder is made where missing.
-        settings: all that the outcomes depend on, as JSON values.
+        key: all that the outcomes depend on, as JSON values.
         commit: of the code that runs now.
 
     Attributes:
+        key: as given.
         outcomes: all so far.
         commits: of the code of each run that the outcomes are from.
+
+    Raises:
+        ValueError: if the file holds outcomes of another key, or something else. It is left as it
+            is.
     """
 
-    def __init__(self, path: str | Path, settings: Mapping[str, Any], commit: str | None = None):
+    def __init__(self, path: str | Path, key: Mapping[str, Any], commit: str | None = None):
         self.path = Path(path)
+        self.key = key
         self.outcomes: list[PairOutcome] = []
         self.commits: list[str] = []
-        lines = self.path.read_text().splitlines() if self.path.exists() else []
-        head = _content(lines[0]) if lines else {}
-        if head.get("settings") == json.loads(json.dumps(settings)):
-            self.outcomes = list(_whole_lines(lines[1:]))
-            self.commits = head["commits"]
+        if self.path.exists():
+            self._read()
         if commit is not None and commit not in self.commits:
             self.commits = [*self.commits, commit]
-        # Written anew, because a killed run may have left half a line at the end.
-        head = {"settings": settings, "commits": self.commits}
+        # Written again, because a killed run may have left half a line at the end.
+        head = {"key": key, "commits": self.commits}
         text = "\n".join([json.dumps(head), *map(_line, self.outcomes)]) + "\n"
         write_atomically(self.path, text.encode())
 
@@ -95,24 +93,24 @@ class OutcomeLog:
             file.writelines(_line(outcome) + "\n" for outcome in new)
         self.outcomes += new
 
+    def _read(self) -> None:
+        key = json.loads(json.dumps(self.key))
+        # What follows the last line break is half a line, or nothing.
+        lines = self.path.read_text().split("\n")[:-1]
+        advice = "choose another --out, or remove the file to measure again"
+        try:
+            head, *contents = map(json.loads, lines)
+            kept, self.commits = head["key"], head["commits"]
+            self.outcomes = [
+                PairOutcome(**{**content, "distances": tuple(content["distances"])})
+                for content in contents
+            ]
+        except (json.JSONDecodeError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{self.path} is not a file of outcomes; {advice}") from error
+        if kept != key:
+            names = [name for name in {**key, **kept} if kept.get(name) != key.get(name)]
+            raise ValueError(f"{self.path} was measured with another {', '.join(names)}; {advice}")
+
 
 def _line(outcome: PairOutcome) -> str:
     return json.dumps(asdict(outcome), separators=(",", ":"), allow_nan=False)
-
-
-def _whole_lines(lines: Iterable[str]) -> Iterable[PairOutcome]:
-    """The outcomes up to the first line that is not whole."""
-    for line in lines:
-        content = _content(line)
-        if set(content) != _NAMES:
-            return
-        yield PairOutcome(**{**content, "distances": tuple(content["distances"])})
-
-
-def _content(line: str) -> dict[str, Any]:
-    """What a line holds; nothing if it is not whole."""
-    try:
-        content = json.loads(line)
-    except json.JSONDecodeError:
-        return {}
-    return content if isinstance(content, dict) else {}

@@ -1,4 +1,4 @@
-"""The study's pictures: what each method answers for a pair of views, and what it saw inside."""
+"""Figure 5: what each method answers for a pair of views."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 
 from ..assets.object_model import ObjectModel
 from .estimate import PoseEstimate
-from .geometry import View, crop_matrix, invert, make_transform, project, transform
+from .geometry import View, crop_matrix, invert, project, transform
 from .image_crop import warp_crop
 from .metrics import nearest_symmetric_pose
 from .overlay import ESTIMATE_COLOUR, TRUE_COLOUR, draw_poses
-from .study_figures import COLOURS, INK, new_figure, save
+from .study_figures import COLORS, INK, new_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,7 +48,7 @@ class Example:
     answers: Mapping[str, PoseEstimate]
 
     def crop(self, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The view around the object: picture, its K (3, 3), and T_cam_obj (4, 4) in the view."""
+        """The view around the object: image, its K (3, 3), and T_cam_obj (4, 4) in the view."""
         T = view.T_cam_world @ invert(self.reference.T_cam_world) @ self.T_cam_obj
         side = _ROOM * self.model.diameter * view.K[0, 0] / T[2, 3]
         affine = crop_matrix(project(T[:3, 3], view.K), side, CROP)
@@ -56,7 +56,7 @@ class Example:
 
 
 def draw_example(example: Example, path: Path) -> Path:
-    """Figure 5: keypoints in the picture, in space, and the poses, a column for each method."""
+    """Figure 5: keypoints in the image, in space, and the poses, a column for each method."""
     methods = list(example.answers)
     # The two views stand in a column of their own, at the left.
     figure = new_figure(2.35 * (len(methods) + 1), 7.3)
@@ -71,14 +71,14 @@ def draw_example(example: Example, path: Path) -> Path:
         truth = transform(T_near, example.model.keypoints)
         error = np.linalg.norm(answer.keypoints - truth, axis=1).mean()
         axes[0, column].set_title(
-            f"{method}: {1000 * error:.1f} mm", fontsize=11, color=COLOURS[method],
+            f"{method}: {1000 * error:.1f} mm", fontsize=11, color=COLORS[method],
             fontweight="bold",
         )  # fmt: skip
-        _keypoints_in_picture(axes[0, column], crop, K, truth, answer.keypoints, COLOURS[method])
+        _keypoints_in_image(axes[0, column], crop, K, truth, answer.keypoints, COLORS[method])
         place = axes[1, column].get_subplotspec()
         axes[1, column].remove()
         solid = figure.add_subplot(place, projection="3d")
-        _keypoints_in_space(solid, truth, answer.keypoints, example.model, COLOURS[method])
+        _keypoints_in_space(solid, truth, answer.keypoints, example.model, COLORS[method])
         drawn = draw_poses(
             crop, example.model, {TRUE_COLOUR: T_true, ESTIMATE_COLOUR: answer.T_cam_obj}, K
         )
@@ -115,8 +115,8 @@ def _legend(axis: Axes) -> None:
     axis.text(0.0, 0.5, "\n".join(lines), fontsize=9, color=INK, va="center", linespacing=1.35)
 
 
-def _keypoints_in_picture(
-    axis: Axes, crop: np.ndarray, K: np.ndarray, truth: np.ndarray, found: np.ndarray, colour: str
+def _keypoints_in_image(
+    axis: Axes, crop: np.ndarray, K: np.ndarray, truth: np.ndarray, found: np.ndarray, color: str
 ) -> None:
     _show(axis, crop)
     true_pixels = project(truth, K)
@@ -124,7 +124,7 @@ def _keypoints_in_picture(
     pixels = project(np.where(in_front[:, None], found, truth), K)
     for a, b in zip(true_pixels, pixels, strict=True):
         axis.plot(*zip(a, b, strict=True), color="white", linewidth=2.2)
-        axis.plot(*zip(a, b, strict=True), color=colour, linewidth=1.2)
+        axis.plot(*zip(a, b, strict=True), color=color, linewidth=1.2)
     axis.scatter(
         true_pixels[:, 0],
         true_pixels[:, 1],
@@ -133,22 +133,22 @@ def _keypoints_in_picture(
         edgecolors="white",
         linewidths=1.4,
     )
-    axis.scatter(pixels[:, 0], pixels[:, 1], s=13, color=colour, edgecolors="white", linewidths=0.5)
+    axis.scatter(pixels[:, 0], pixels[:, 1], s=13, color=color, edgecolors="white", linewidths=0.5)
     axis.set_xlim(0, CROP)
     axis.set_ylim(CROP, 0)
 
 
 def _keypoints_in_space(
-    axis: Any, truth: np.ndarray, found: np.ndarray, model: ObjectModel, colour: str
+    axis: Any, truth: np.ndarray, found: np.ndarray, model: ObjectModel, color: str
 ) -> None:
     """Truth and prediction about the object's middle, seen from the right of the camera."""
-    centre, reach = truth.mean(0), 0.75 * model.diameter
-    true, seen = (100 * ((points - centre) @ _TO_PLOT) for points in (truth, found))
+    center, reach = truth.mean(0), 0.75 * model.diameter
+    true, seen = (100 * ((points - center) @ _TO_PLOT) for points in (truth, found))
     for a, b in zip(true, seen, strict=True):
-        axis.plot(*zip(a, b, strict=True), color=colour, linewidth=1.0, axlim_clip=True)
+        axis.plot(*zip(a, b, strict=True), color=color, linewidth=1.0, axlim_clip=True)
     shared = {"depthshade": False, "axlim_clip": True}
     axis.scatter(*true.T, s=22, facecolors="none", edgecolors=INK, linewidths=1.0, **shared)
-    axis.scatter(*seen.T, s=14, color=colour, **shared)
+    axis.scatter(*seen.T, s=14, color=color, **shared)
     ticks = [-100 * reach / 2, 0, 100 * reach / 2]
     for name, title in (("x", "x"), ("y", "depth"), ("z", "up")):
         getattr(axis, f"set_{name}lim")(-100 * reach, 100 * reach)
@@ -159,12 +159,12 @@ def _keypoints_in_space(
     axis.tick_params(labelsize=7, pad=-3)
 
 
-_TO_PLOT = make_transform(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.zeros(3))[:3, :3]
+_TO_PLOT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """OpenCV's axes (right, down, forward) as the plot's (right, forward, up), for row vectors."""
 
 
-def _show(axis: Axes, picture: np.ndarray) -> None:
-    axis.imshow(picture)
+def _show(axis: Axes, image: np.ndarray) -> None:
+    axis.imshow(image)
     axis.set_xticks([])
     axis.set_yticks([])
     for spine in axis.spines.values():

@@ -2,61 +2,68 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
-from . import load, study_fingerprint
+from . import NEEDED_PARTS, load
 from .bop_pairs import PAIRS_FILE
+from .device import resolve_device
 from .networks import PoseNetworks
 from .results import commit
-from .study import Estimator, StudySet, run_unit
+from .study import OUTCOME_FORMAT, Estimator, StudySet, run_unit
 from .study_config import CompareConfig
 from .study_cost import measure
-from .study_fingerprint import PARTS
 from .study_gallery import draw_gallery, timed_pairs
 from .study_log import OutcomeLog, PairOutcome
 from .study_tables import Record, tables
-from .study_units import NO_POSE_LOSS, NOISY, TRAINED, Unit, plan
-from .weights import find_weights
+from .study_units import DEFAULT_WEIGHTS, NO_POSE_LOSS, NOISY, Unit, plan
+from .weights import load_networks
 
 
 @dataclass(eq=False)
 class Study:
-    """A study on its way.
+    """A study in progress.
 
     Attributes:
         config: what is asked for.
         tests: by name.
-        outcomes: what was measured.
-        records: of what was run, and what could not be.
+        records: of what was run, and what is not available.
     """
 
     config: CompareConfig
     tests: Mapping[str, StudySet]
-    outcomes: dict[Unit, list[PairOutcome]] = field(default_factory=dict)
     records: list[Record] = field(default_factory=list)
 
     def run(self) -> list[Record]:
         """Measures everything, draws the pictures, and returns all records.
 
         Raises:
-            ValueError: if no method can be run.
+            ValueError: if the weights lack what every method needs, or the folder holds outcomes
+                of other weights or options.
             FileNotFoundError: if there are no such weights.
         """
         estimators = self.load_all()
-        usual = {m: e for (m, training), e in estimators.items() if training == TRAINED}
+        usual = {m: e for (m, training), e in estimators.items() if training == DEFAULT_WEIGHTS}
         if not usual:
             raise ValueError(f"none of {', '.join(self.config.methods)} can be run")
-        trainings = [TRAINED, *self.other_weights()]
-        for unit in plan(
-            self.config.methods, trainings,
+        units = plan(
+            self.config.methods, [DEFAULT_WEIGHTS, *self.other_weights()],
             per_object=self.config.pairs, noise_per_object=self.config.noise_pairs,
             per_gap=self.config.per_gap,
-        ):  # fmt: skip
-            if (unit.method, unit.training) in estimators:
-                self.run_unit(unit, estimators[unit.method, unit.training])
-        self.records += tables(self.outcomes)
+        )  # fmt: skip
+        # Outcomes that do not fit are noticed before an hour is spent on others.
+        logs = {
+            unit: self.open_log(unit, networks_of(estimators[unit.method, unit.training]))
+            for unit in units
+            if (unit.method, unit.training) in estimators
+        }
+        outcomes = {
+            unit: self.run_unit(unit, estimators[unit.method, unit.training], log)
+            for unit, log in logs.items()
+        }
+        self.records += tables(outcomes)
         objects = networks_of(next(iter(usual.values()))).objects
         tests = list(self.tests.values())
         draw_gallery(
@@ -72,61 +79,74 @@ class Study:
         return {training: weights for training, weights in given.items() if weights is not None}
 
     def load_all(self) -> dict[tuple[str, str], Estimator]:
-        """Every method with every training; those that cannot be loaded become records."""
+        """Every method with every training; those whose networks are missing become records."""
         loaded: dict[tuple[str, str], Estimator] = {}
-        wanted = [(method, TRAINED, self.config.weights) for method in self.config.methods]
+        device, threads = self.config.device, self.config.threads
+        wanted = [(method, DEFAULT_WEIGHTS, self.config.weights) for method in self.config.methods]
         wanted += [("mid", training, path) for training, path in self.other_weights().items()]
         for method, training, weights in wanted:
-            find_weights(weights)
-            try:
-                loaded[method, training] = load(
-                    method, weights, device=self.config.device, threads=self.config.threads
-                )
-            except ValueError as error:
-                self._missing(method, training, str(error))
+            part = NEEDED_PARTS.get(method)
+            trained = load_networks(weights, resolve_device(device)).trained
+            if part is None or part in trained:
+                loaded[method, training] = load(method, weights, device=device, threads=threads)
+                continue
+            reason = (
+                f"the weights {weights!r} lack the trained part {part!r}; "
+                f"train-estimator --stages {part} --init {weights} adds it"
+            )
+            print(f"{method} is not available: {reason}")
+            self.records.append(
+                {
+                    "metric": "missing", "value": 1, "unit": "", "method": method,
+                    "training": training, "reason": reason,
+                }
+            )  # fmt: skip
         return loaded
 
-    def run_unit(self, unit: Unit, estimator: Estimator) -> None:
-        """Measures a unit, or goes on with it."""
-        test = self.tests[unit.test]
-        networks = networks_of(estimator)
-        settings = {
+    def open_log(self, unit: Unit, networks: PoseNetworks) -> OutcomeLog:
+        """The outcomes of a unit that are measured already.
+
+        Raises:
+            ValueError: if they were measured with something else.
+        """
+        pairs = self.tests[unit.test].dataset.root / PAIRS_FILE
+        key = {
+            "format": OUTCOME_FORMAT,
             "unit": asdict(unit),
-            "networks": study_fingerprint.of_networks(networks, PARTS[unit.method]),
-            "code": study_fingerprint.of_code(type(estimator)),
-            "pairs": study_fingerprint.of_file(test.dataset.root / PAIRS_FILE),
+            "networks": networks_digest(networks, unit.method),
+            "pairs": hashlib.sha256(pairs.read_bytes()).hexdigest()[:16],
             "seed": self.config.seed,
         }
-        path = self.config.out / "outcomes" / f"{unit.name}.jsonl"
-        log = OutcomeLog(path, settings, commit())
-        try:
-            outcomes = run_unit(unit, estimator, test, networks.objects, log, seed=self.config.seed)
-        except ValueError as error:
-            self._missing(unit.method, unit.training, str(error), unit.test)
-            return
-        self.outcomes[unit] = outcomes
+        return OutcomeLog(self.config.out / "outcomes" / f"{unit.name}.jsonl", key, commit())
+
+    def run_unit(self, unit: Unit, estimator: Estimator, log: OutcomeLog) -> list[PairOutcome]:
+        """Measures a unit, or resumes it."""
+        test, objects = self.tests[unit.test], networks_of(estimator).objects
+        outcomes = run_unit(unit, estimator, test, objects, log, seed=self.config.seed)
         self.records.append(
             {
                 "metric": "run", "value": len(outcomes), "unit": "pairs", "scene": unit.test,
                 "method": unit.method, "training": unit.training,
                 "rotation_deg": unit.rotation, "translation": unit.translation,
-                "networks": settings["networks"], "commits": " ".join(log.commits),
+                "networks": log.key["networks"], "commits": " ".join(log.commits),
             }
         )  # fmt: skip
-
-    def _missing(self, method: str, training: str, reason: str, scene: str = "") -> None:
-        print(f"{method} is missing: {reason}")
-        self.records.append(
-            {
-                "metric": "missing", "value": 1, "unit": "", "method": method,
-                "training": training, "scene": scene, "reason": reason,
-            }
-        )  # fmt: skip
+        return outcomes
 
 
 def networks_of(estimator: Estimator) -> PoseNetworks:
     """The networks of one of our estimators."""
     return estimator.networks  # type: ignore[attr-defined]
+
+
+def networks_digest(networks: PoseNetworks, method: str) -> str:
+    """A digest of the weights, those that only other methods need left out."""
+    others = {part for name, part in NEEDED_PARTS.items() if name != method}
+    sha = hashlib.sha256()
+    for name, value in networks.state_dict().items():
+        if name.split(".")[0] not in others and not name.endswith("num_batches_tracked"):
+            sha.update(name.encode() + value.detach().cpu().contiguous().numpy().tobytes())
+    return sha.hexdigest()[:16]
 
 
 def describe(test: StudySet) -> Record:

@@ -1,4 +1,4 @@
-"""From outcomes to the records of results.json: every figure of the report, one number each.
+"""From outcomes to the records of results.json: every number of the report.
 
 Intervals are of 95 percent, from a bootstrap over sequences (``intervals``). Means over objects
 count every object the same, means over gaps every gap.
@@ -7,24 +7,27 @@ count every object the same, means over gaps every gap.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-from .intervals import Estimate, clustered_mean
+from .intervals import clustered_mean
+from .metrics import CORRECT
 from .study_log import PairOutcome
-from .study_units import BEST_GAP, Unit
+from .study_units import BEST_GAP, DEFAULT_WEIGHTS, Unit
 
 Record = dict[str, Any]
-
-CORRECT = 0.1
-"""ADD(-S) in diameters below which a pose counts as correct."""
 
 NEAR = 0.03
 """Distance in metres below which a keypoint counts as found."""
 
 DISTANCE_STEP = 0.1
 """Width in metres of the classes of camera distance."""
+
+Grouping = Callable[[PairOutcome], Hashable]
+
+_object_name = attrgetter("object_name")
 
 MEASURES: Mapping[str, tuple[str, Callable[[PairOutcome], float]]] = {
     "add_s_recall": ("", lambda o: float(o.error < CORRECT)),
@@ -62,24 +65,22 @@ def method_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> 
         outcomes: of all gaps.
         tags: ``method`` and ``scene``.
     """
-    gaps = sorted({o.gap for o in outcomes})
+    by_gap = {g: [o for o in outcomes if o.gap == g] for g in sorted({o.gap for o in outcomes})}
     records = []
-    for metric, (unit, measure) in MEASURES.items():
-        for gap in gaps:
-            at_gap = [o for o in outcomes if o.gap == gap]
+    for metric in MEASURES:
+        for gap, at_gap in by_gap.items():
             for name in dict.fromkeys(o.object_name for o in at_gap):
                 mine = [o for o in at_gap if o.object_name == name]
-                records.append(_record(metric, unit, _mean(mine, measure), object=name, gap=gap))
-            mean = _mean(at_gap, measure, lambda o: o.object_name)
-            records.append(_record(metric, unit, mean, object="mean", gap=gap))
-        mean = _mean(outcomes, measure, lambda o: (o.gap, o.object_name))
-        records.append(_record(metric, unit, mean, object="mean", gap="mean"))
-    for gap in gaps:
-        median = float(np.median([o.keypoint_distance for o in outcomes if o.gap == gap]))
+                records.append(_mean(metric, mine, None, object=name, gap=gap))
+            records.append(_mean(metric, at_gap, _object_name, object="mean", gap=gap))
+        by = attrgetter("gap", "object_name")
+        records.append(_mean(metric, outcomes, by, object="mean", gap="mean"))
+    for gap, at_gap in by_gap.items():
+        median = float(np.median([o.keypoint_distance for o in at_gap]))
         records.append(
             {"metric": "keypoint_distance_median", "value": median, "unit": "m", "gap": gap}
         )
-    records += _by_distance([o for o in outcomes if o.gap == BEST_GAP])
+    records += _by_distance(by_gap.get(BEST_GAP, []))
     return [record | dict(tags) for record in records]
 
 
@@ -92,10 +93,10 @@ def _by_distance(outcomes: Sequence[PairOutcome]) -> list[Record]:
             classes.setdefault((name, step), []).append(outcome)
     records = []
     for (name, step), group in sorted(classes.items()):
-        by_object = (lambda o: o.object_name) if name == "mean" else None
-        found = _mean(group, lambda o: float(np.mean(np.array(o.distances) < NEAR)), by_object)
+        found = [float(np.mean(np.array(o.distances) < NEAR)) for o in group]
+        by = _object_name if name == "mean" else None
         tags = {"object": name, "gap": BEST_GAP, "distance": round((step + 0.5) * DISTANCE_STEP, 3)}
-        records.append(_record("keypoint_recall", "", found, **tags))
+        records.append(_record("keypoint_recall", "", found, group, by, **tags))
     return records
 
 
@@ -113,11 +114,7 @@ def difference_records(
     for gap in sorted({o.gap for o in first}):
         pairs = _matched([o for o in first if o.gap == gap], second)
         for metric in ("add_s_recall", "keypoint_distance") if pairs else ():
-            unit, measure = MEASURES[metric]
-            records.append(
-                _record(f"{metric}_difference", unit, _difference(pairs, measure), gap=gap)
-                | dict(tags)
-            )
+            records.append(_difference(metric, pairs, gap=gap) | dict(tags))
     return records
 
 
@@ -127,62 +124,48 @@ def solver_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> 
     solved = [o for o in outcomes if o.solver_errors]
     for gap in sorted({o.gap for o in solved}):
         group = [o for o in solved if o.gap == gap]
-        for solver in group[0].solver_errors:
-            recall = _mean(group, _correct_by(solver), lambda o: o.object_name)
-            records.append(_record("solver_recall", "", recall, solver=solver, gap=gap))
+        correct = {
+            solver: np.array([float(o.solver_errors[solver] < CORRECT) for o in group])
+            for solver in group[0].solver_errors
+        }
+        for solver, values in correct.items():
+            found = {"solver": solver, "gap": gap}
+            records.append(_record("solver_recall", "", values, group, _object_name, **found))
             if solver != "soft":
-                better = _mean(group, _soft_gains_over(solver), lambda o: o.object_name)
-                records.append(
-                    _record(
-                        "solver_recall_difference", "", better,
-                        solver="soft", against=solver, gap=gap,
-                    )
-                )  # fmt: skip
+                gain, metric = correct["soft"] - values, "solver_recall_difference"
+                found = {"solver": "soft", "against": solver, "gap": gap}
+                records.append(_record(metric, "", gain, group, _object_name, **found))
     return [record | dict(tags) for record in records]
 
 
-def _correct_by(solver: str) -> Callable[[PairOutcome], float]:
-    return lambda o: float(o.solver_errors[solver] < CORRECT)
-
-
-def _soft_gains_over(solver: str) -> Callable[[PairOutcome], float]:
-    soft, other = _correct_by("soft"), _correct_by(solver)
-    return lambda o: soft(o) - other(o)
-
-
 def noise_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> list[Record]:
-    """What a method reaches that is told a wrong relative pose; ``tags`` say how wrong."""
-    records = []
-    for metric in ("add_s_recall", "keypoint_distance"):
-        unit, measure = MEASURES[metric]
-        mean = _mean(outcomes, measure, lambda o: o.object_name)
-        records.append(_record(f"noise_{metric}", unit, mean, **tags))
-    return records
+    """What a method reaches with an inexact relative pose; ``tags`` say how inexact."""
+    return [
+        _mean(metric, outcomes, _object_name, "noise", **tags)
+        for metric in ("add_s_recall", "keypoint_distance")
+    ]
 
 
 def training_records(
     outcomes: Sequence[PairOutcome], usual: Sequence[PairOutcome], tags: Mapping[str, Any]
 ) -> list[Record]:
-    """What other weights reach, and how much more the usual ones do on the same pairs.
+    """What other weights reach, and how much more the default ones do on the same pairs.
 
     Args:
         outcomes: with the other weights.
-        usual: with the usual ones.
-        tags: ``method``, ``scene`` and ``training``.
+        usual: with the default ones.
+        tags: ``method``, ``scene`` and ``training``; the records of the default weights on the same
+            pairs have the tag ``paired_with`` instead of the latter.
     """
     records = []
     pairs = _matched(usual, outcomes)
     for metric in ("add_s_recall", "keypoint_distance"):
-        unit, measure = MEASURES[metric]
-        mean = _mean(outcomes, measure, lambda o: o.object_name)
-        records.append(_record(f"training_{metric}", unit, mean, **tags))
+        records.append(_mean(metric, outcomes, _object_name, "training", **tags))
         if pairs:
-            matched = _mean([ours for ours, _ in pairs], measure, lambda o: o.object_name)
-            usual_tags = {**tags, "training": f"usual, beside {tags['training']}"}
-            records.append(_record(f"training_{metric}", unit, matched, **usual_tags))
-            records.append(
-                _record(f"training_{metric}_difference", unit, _difference(pairs, measure), **tags)
-            )
+            baseline = {**tags, "training": DEFAULT_WEIGHTS, "paired_with": tags["training"]}
+            matched = [ours for ours, _ in pairs]
+            records.append(_mean(metric, matched, _object_name, "training", **baseline))
+            records.append(_difference(metric, pairs, "training", **tags))
     return records
 
 
@@ -195,37 +178,39 @@ def _matched(
 
 
 def _mean(
-    outcomes: Sequence[PairOutcome],
-    measure: Callable[[PairOutcome], float],
-    groups: Callable[[PairOutcome], Hashable] | None = None,
-) -> Estimate:
-    return clustered_mean(
-        [measure(o) for o in outcomes],
-        [o.scene_id for o in outcomes],
-        None if groups is None else [groups(o) for o in outcomes],
-    )
+    metric: str, outcomes: Sequence[PairOutcome], by: Grouping | None, part: str = "", **tags: Any
+) -> Record:
+    """The record of a measure's mean; ``part`` of the study begins its name."""
+    unit, measure = MEASURES[metric]
+    name = f"{part}_{metric}" if part else metric
+    return _record(name, unit, [measure(o) for o in outcomes], outcomes, by, **tags)
 
 
 def _difference(
-    pairs: Sequence[tuple[PairOutcome, PairOutcome]], measure: Callable[[PairOutcome], float]
-) -> Estimate:
-    """Mean over the objects of the mean difference."""
-    return clustered_mean(
-        [measure(a) - measure(b) for a, b in pairs],
-        [a.scene_id for a, _ in pairs],
-        [a.object_name for a, _ in pairs],
-    )
+    metric: str, pairs: Sequence[tuple[PairOutcome, PairOutcome]], part: str = "", **tags: Any
+) -> Record:
+    """The record of the mean over the objects of the mean difference."""
+    unit, measure = MEASURES[metric]
+    name = f"{part}_{metric}_difference" if part else f"{metric}_difference"
+    values = [measure(a) - measure(b) for a, b in pairs]
+    return _record(name, unit, values, [a for a, _ in pairs], _object_name, **tags)
 
 
-def _record(metric: str, unit: str, estimate: Estimate, **tags: Any) -> Record:
-    """A record; it has no ``low`` and ``high`` where there is no interval."""
+def _record(
+    metric: str,
+    unit: str,
+    values: Sequence[float] | np.ndarray,
+    outcomes: Sequence[PairOutcome],
+    by: Grouping | None,
+    **tags: Any,
+) -> Record:
+    """The record of the mean of values, one for each outcome.
+
+    It is the mean over the groups (``by``) of the mean within each, and has no ``low`` and ``high``
+    where there is no interval.
+    """
+    groups = None if by is None else [by(o) for o in outcomes]
+    estimate = clustered_mean(values, [o.scene_id for o in outcomes], groups)
     ends = {"low": estimate.low, "high": estimate.high} if estimate.low is not None else {}
-    return {
-        "metric": metric,
-        "value": estimate.value,
-        "unit": unit,
-        **ends,
-        "n": estimate.n,
-        "sequences": estimate.sequences,
-        **tags,
-    }
+    counts = {"n": estimate.n, "sequences": estimate.sequences}
+    return {"metric": metric, "value": estimate.value, "unit": unit, **ends, **counts, **tags}

@@ -1,10 +1,10 @@
-"""What a study runs: which method sees which pairs of which test, and what it is told wrongly."""
+"""What a study runs: which method gets which pairs of which test, with which errors."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -25,7 +25,7 @@ BEST_GAP = 10
 
 TESTS = ("linemod", "occlusion")
 
-TRAINED = ""
+DEFAULT_WEIGHTS = ""
 """The weights that the study is about; other trainings have a name."""
 
 NOISY = "pose noise"
@@ -50,29 +50,34 @@ NOISE = tuple(
 """Degrees and metres: both together, and each alone."""
 
 
+def has_both_errors(record: Mapping[str, Any]) -> bool:
+    """Whether a record is of both errors together: 5 mm for each degree, or none of either."""
+    return abs(record["rotation_deg"] / 2 - record["translation"] / 0.01) < 1e-9
+
+
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
 class Unit:
-    """One method on one test: what is measured, kept and gone on with as a whole.
+    """One method on one test: what is measured, kept and resumed as a whole.
 
     Attributes:
-        part: of the study: ``main``, ``training`` (other weights) or ``noise`` (told wrong poses).
+        part: of the study: ``main``, ``training`` (other weights) or ``noise`` (inexact poses).
         test: ``linemod`` or ``occlusion``.
         method: see ``pose_estimator.METHODS``.
-        training: which weights, by the name that the report gives them; ``TRAINED`` is the usual.
+        training: which weights, by the name that the report gives them.
         gaps: frames between the views.
         per_object: at most so many pairs for each object and gap, spread evenly; 0 = all.
         per_gap: at most so many pairs for each gap in all; 0 = all.
-        rotation: error of the relative pose that the method is told, degrees.
+        rotation: error of the relative pose that the method is given, degrees.
         translation: the same, metres.
     """
 
     part: Literal["main", "training", "noise"]
     test: str
     method: str
-    training: str = TRAINED
+    training: str = DEFAULT_WEIGHTS
     gaps: tuple[int, ...] = GAPS
     per_object: int = 0
     per_gap: int = 0
@@ -117,17 +122,18 @@ def _spread(group: Sequence[_T], count: int) -> list[_T]:
     return [group[(2 * i + 1) * len(group) // (2 * count)] for i in range(count)]
 
 
-def told_pose(unit: Unit, pair: BopPair, seed: int) -> np.ndarray:
-    """T_second_ref (4, 4) as the method is told it: off by the unit's angle and distance.
+def perturbed_pose(unit: Unit, pair: BopPair, seed: int) -> np.ndarray:
+    """T_second_ref (4, 4) as the method is given it: off by the unit's angle and distance.
 
     The directions are random and depend on the pair alone, so that units differ in size only.
     """
     if not unit.rotation and not unit.translation:
         return pair.T_second_ref
     rng = np.random.default_rng([seed, pair.scene_id, pair.ref_image_id, pair.second_image_id])
-    axis, way = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
+    axis, direction = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
     error = make_transform(
-        Rotation.from_rotvec(np.deg2rad(unit.rotation) * axis).as_matrix(), unit.translation * way
+        Rotation.from_rotvec(np.deg2rad(unit.rotation) * axis).as_matrix(),
+        unit.translation * direction,
     )
     return error @ pair.T_second_ref
 
@@ -144,7 +150,7 @@ def plan(
 
     Args:
         methods: which to run.
-        trainings: which weights there are, ``TRAINED`` among them.
+        trainings: which weights there are, ``DEFAULT_WEIGHTS`` among them.
         per_object: pairs for each object and gap; 0 = all.
         noise_per_object: pairs for each object under errors of the relative pose; 0 = all.
         per_gap: pairs for each gap in all, for a quick run, which also takes the ends of the errors
@@ -155,11 +161,11 @@ def plan(
             yield Unit("main", test, method, per_object=per_object, per_gap=per_gap)
     if "mid" in methods:
         for training in trainings:
-            if training != TRAINED:
+            if training != DEFAULT_WEIGHTS:
                 for test in TESTS:
                     yield Unit("training", test, "mid", training, (BEST_GAP,), per_object, per_gap)
     # Triangulation learns nothing from a wrong pose, so `late` has no second training.
-    noisy = [("mid", TRAINED), ("mid", NOISY), ("late", TRAINED)]
+    noisy = [("mid", DEFAULT_WEIGHTS), ("mid", NOISY), ("late", DEFAULT_WEIGHTS)]
     ends = [(r, t) for r, t in NOISE if {r, t} <= {0.0, ROTATIONS[-1], TRANSLATIONS[-1]}]
     for rotation, translation in ends if per_gap else NOISE:
         for method, training in noisy:

@@ -1,4 +1,4 @@
-"""Regions of interest from true poses: analyses tell an estimator where to look."""
+"""Ground-truth regions of interest: analyses that leave the detector out."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from .estimate import Roi, roi_of_pose
 from .geometry import View
 
 NOISE = {"truth": (0.0, 0.0), "noisy": (0.04, 0.012)}
-"""Standard deviations of the centre in metres, in depth and sideways, by the option's value."""
+"""Standard deviations of the center in metres, in depth and sideways, by the option's value."""
 
 
 @dataclass(frozen=True)
-class ToldRegions:
-    """Regions of interest that an analysis tells the estimator, from the true poses.
+class GroundTruthRois:
+    """Makes regions of interest from the true poses.
 
     Attributes:
         scale: side in diameters.
-        depth_noise: standard deviation of the centre's depth, metres.
+        depth_noise: standard deviation of the center's depth, metres.
         side_noise: the same sideways, metres.
         seed: of the noise.
     """
@@ -30,16 +30,16 @@ class ToldRegions:
     side_noise: float = 0.0
     seed: int = 0
 
-    def regions(
+    def make(
         self, T_cam_obj: Sequence[np.ndarray], views: Sequence[View], diameter: float, number: int
     ) -> list[Roi]:
         """One region for each view.
 
         Args:
             T_cam_obj: the true pose in each view, (4, 4) each.
-            views: pictures and cameras.
+            views: images and cameras.
             diameter: of the object, metres.
-            number: of the pair; with the seed it fixes the noise.
+            number: of the pair; with the seed it determines the noise.
         """
         rng = np.random.default_rng([self.seed, number])
         spread = (self.side_noise, self.side_noise, self.depth_noise)

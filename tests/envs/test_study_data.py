@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from two_view_pose.assets import OBJECT_NAMES
 from two_view_pose.envs.generate import GenerateConfig
-from two_view_pose.envs.randomization import Randomization
 from two_view_pose.envs.scene import Scene, SceneConfig
 from two_view_pose.envs.scene_plan import plan_scene
 from two_view_pose.envs.study_data import (
-    LMO_OBJECTS,
     TEST_SETS,
-    TRAINING_SET,
     ensure_test_set,
 )
 from two_view_pose.pose_estimator import bop
 from two_view_pose.pose_estimator.evaluate_config import EvaluateConfig
 
-SETS = {"training": TRAINING_SET, **TEST_SETS}
+TRAINING_SEEDS = (3, 7001)
+"""Of the sets that the shipped weights were trained on, see README."""
 
 
 def plans(config: GenerateConfig):
@@ -31,9 +28,9 @@ def plans(config: GenerateConfig):
 
 
 def test_seeds_are_all_different_from_each_other_and_from_the_usual_ones() -> None:
-    seeds = [config.seed for config in SETS.values()]
-    usual = [GenerateConfig(Path("x")).seed, EvaluateConfig().seed, 1]  # 1: the weights that ship
-    assert len({*seeds, *usual}) == len(seeds) + len(usual)
+    seeds = [config.seed for config in TEST_SETS.values()] + [EvaluateConfig().seed]
+    assert len(set(seeds)) == len(seeds)
+    assert not set(seeds) & {*TRAINING_SEEDS, GenerateConfig(Path("x")).seed}
 
 
 def test_no_texture_and_no_camera_occurs_in_two_sets(objects) -> None:
@@ -42,15 +39,15 @@ def test_no_texture_and_no_camera_occurs_in_two_sets(objects) -> None:
     table = scene.world.textures["table"]
     start, size = model.tex_adr[table], 3 * model.tex_height[table] * model.tex_width[table]
     textures, cameras = [], []
-    for config in SETS.values():
+    seeds = (*TRAINING_SEEDS, *(config.seed for config in TEST_SETS.values()))
+    for seed in seeds:
         for scene_id in range(3):
-            rng = np.random.default_rng(np.random.SeedSequence([config.seed, scene_id]))
+            rng = np.random.default_rng(np.random.SeedSequence([seed, scene_id]))
             state = scene.reset(rng, "ball")
             textures.append(model.tex_data[start : start + size].tobytes())
             cameras.append(state.T_cam_world.tobytes())
     scene.close()
-    assert len(set(textures)) == len(set(cameras)) == 3 * len(SETS)
-    assert Randomization().textures
+    assert len(set(textures)) == len(set(cameras)) == 3 * len(seeds)
 
 
 def test_each_of_13_objects_has_100_reference_views_of_light_clutter() -> None:
@@ -64,26 +61,9 @@ def test_each_of_13_objects_has_100_reference_views_of_light_clutter() -> None:
 
 def test_heaps_of_lmo_s_objects_have_more_than_100_reference_views() -> None:
     config = TEST_SETS["occlusion"]
-    assert config.objects == LMO_OBJECTS
     assert {plan.kind for plan in plans(config)} == {"heap"}
     views = sum(len({first for first, _ in plan.pairs}) for plan in plans(config))
     assert views >= 120  # some objects cannot be seen in some
-
-
-def test_all_baselines_and_kinds_of_scenes_are_trained() -> None:
-    every = plans(TRAINING_SET)
-    turns = Counter((plan.kind, plan.target, plan.length is None) for plan in every)
-    assert len(turns) == 3 * 13 * 2 and len(set(turns.values())) == 1
-    assert TRAINING_SET.depth and not TRAINING_SET.depth_noise
-    assert {p.frames for p in every if p.length} == {(0, 1, 5, 10)}
-
-
-def test_validation_sets_differ_from_the_tests_in_size_and_seed_only() -> None:
-    for name in ("linemod", "occlusion"):
-        test, validation = TEST_SETS[name], TEST_SETS[f"{name}-validation"]
-        same = {"out": test.out, "scenes": test.scenes, "seed": test.seed}
-        assert replace(validation, **same) == test
-        assert validation.scenes < test.scenes
 
 
 def test_the_quick_set_is_rendered_once(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Cases of the study's tests: a method that knows the truth, and outcomes made by hand."""
+"""For tests of evaluations: a method that knows the truth, and outcomes made by hand."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ from two_view_pose.assets.object_model import ObjectModel
 from two_view_pose.pose_estimator.bop import BopDataset, read_rgb
 from two_view_pose.pose_estimator.estimate import PoseEstimate
 from two_view_pose.pose_estimator.geometry import View, transform
+from two_view_pose.pose_estimator.results import check_record
 from two_view_pose.pose_estimator.study_log import PairOutcome
 
 
 class Oracle:
-    """Knows the truth by the look of the picture, and errs by a fixed motion.
+    """Knows the truth by the look of the image, and errs by a fixed motion.
+
+    Args:
+        dataset: whose images it knows.
+        objects: whose poses it knows.
+        T_error: of every pose, (4, 4) in the object's frame.
+        strict: whether the relative pose must lead from one true pose to the other.
 
     Attributes:
-        asked: how many views and which object, each time.
-        depth: which of the views had depth.
-        told: T_second_ref, where there were two views.
+        requests: what it was given each time: views, object, and regions of interest if any.
     """
 
     def __init__(
@@ -31,9 +36,7 @@ class Oracle:
         self.objects = objects
         self.strict = strict
         self.T_error = np.eye(4) if T_error is None else T_error
-        self.asked: list[tuple[int, str]] = []
-        self.depth: list[list[bool]] = []
-        self.told: list[np.ndarray] = []
+        self.requests: list[tuple] = []
         self.truths = {
             (read_rgb(image).tobytes(), annotation.obj_id): annotation.T_cam_obj
             for image in dataset
@@ -44,17 +47,34 @@ class Oracle:
     def object_names(self) -> tuple[str, ...]:
         return tuple(self.objects)
 
-    def estimate(self, views: Sequence[View], object_name: str) -> PoseEstimate:
-        self.asked.append((len(views), object_name))
-        self.depth.append([view.depth is not None for view in views])
+    @property
+    def asked(self) -> list[tuple[int, str]]:
+        """How many views and which object, each time."""
+        return [(len(views), name) for views, name, *_ in self.requests]
+
+    @property
+    def relative_poses(self) -> list[np.ndarray]:
+        """T_second_ref (4, 4), each time that there were two views."""
+        pairs = (views for views, *_ in self.requests if len(views) == 2)
+        return [b.T_cam_world @ np.linalg.inv(a.T_cam_world) for a, b in pairs]
+
+    def estimate(self, views: Sequence[View], object_name: str, *rois: object) -> PoseEstimate:
+        self.requests.append((views, object_name, *rois))
         model = self.objects[object_name]
         truth = self.truths[views[0].image.tobytes(), model.obj_id]
-        if len(views) == 2:
-            self.told.append(views[1].T_cam_world @ np.linalg.inv(views[0].T_cam_world))
+        if len(views) == 2 and self.strict:
             other = self.truths[views[1].image.tobytes(), model.obj_id]
-            assert not self.strict or np.allclose(self.told[-1] @ truth, other, atol=1e-5)
+            assert np.allclose(self.relative_poses[-1] @ truth, other, atol=1e-5)
         T = truth @ self.T_error
         return PoseEstimate(T, transform(T, model.keypoints), 1e-6 * np.tile(np.eye(3), (9, 1, 1)))
+
+
+def only_record(records: Sequence[Mapping], metric: str, **tags: object) -> dict:
+    """The only record with these tags."""
+    (record,) = [
+        r for r in records if r["metric"] == metric and all(r.get(k) == v for k, v in tags.items())
+    ]
+    return check_record(record)
 
 
 def outcome(

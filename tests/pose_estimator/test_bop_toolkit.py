@@ -27,10 +27,9 @@ QUANTITIES = {
     "px": "camera matrix|visible pixels|visible box|whole box",
     "mm": "object to camera, translation|world to camera, translation|diameter as read|"
     "bounding box as read|diameter as measured|points|symmetries, translation|ADD|ADD-S (adi)|"
-    "ADD(-S) by the object|translation error (te)|result file written, translation|"
+    "ADD(-S) by the object|result file written, translation|"
     "result file read, translation",
     "m": "depth map (float32)|diameter written, of the mesh",
-    "degrees": "rotation error (re)|rotation error, least over symmetries",
     "grey level": "picture",
 }
 """Unit -> what is compared in it."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from two_view_pose.pose_estimator.intervals import clustered_mean
+from two_view_pose.pose_estimator.intervals import bootstrap_interval, clustered_mean
 
 
 def test_every_group_counts_the_same():
@@ -15,7 +15,7 @@ def test_every_group_counts_the_same():
 def test_the_interval_is_that_of_independent_sequences():
     rng = np.random.default_rng(1)
     means = rng.normal(size=400)
-    estimate = clustered_mean(means, range(400), resamples=4000)
+    estimate = clustered_mean(means, range(400))
     half = 1.96 * means.std() / np.sqrt(400)
     assert estimate.high - estimate.value == pytest.approx(half, rel=0.1)
     assert estimate.value - estimate.low == pytest.approx(half, rel=0.1)
@@ -94,6 +94,33 @@ def test_wrong_lists_are_refused(arguments, message):
         clustered_mean(*arguments)
 
 
-def test_a_wrong_level_is_refused():
-    with pytest.raises(ValueError, match="level"):
-        clustered_mean([1.0], [0], level=1.0)
+def test_intervals_of_independent_values_cover_the_mean_as_often_as_they_say():
+    rng = np.random.default_rng(6)
+    covered = 0
+    for _ in range(200):
+        low, high = bootstrap_interval([rng.normal(1.0, 2.0, size=60)], rng)
+        covered += low <= 1.0 <= high
+    assert 0.89 < covered / 200 < 0.99
+
+
+def test_every_group_of_independent_values_counts_the_same():
+    rng = np.random.default_rng(7)
+    few, many = rng.normal(size=40), rng.normal(size=400)
+    low, high = bootstrap_interval([few, many], rng)
+    half = 1.96 * np.sqrt(few.var() / 40 + many.var() / 400) / 2
+    assert high - low == pytest.approx(2 * half, rel=0.1)
+    assert (low + high) / 2 == pytest.approx((few.mean() + many.mean()) / 2, abs=half / 5)
+    assert bootstrap_interval([np.ones(5)], rng) == (1.0, 1.0)
+
+
+def test_long_lists_are_drawn_as_short_ones_are(monkeypatch):
+    values = np.random.default_rng(8).normal(size=30)
+    whole = bootstrap_interval([values], np.random.default_rng(9))
+    monkeypatch.setattr("two_view_pose.pose_estimator.intervals._MAX_DRAWS", 1000)
+    assert bootstrap_interval([values], np.random.default_rng(9)) == whole
+
+
+@pytest.mark.parametrize("groups", [[], [np.ones(0)], [np.array([1.0, np.nan])], [np.ones((2, 2))]])
+def test_wrong_groups_are_refused(groups):
+    with pytest.raises(ValueError, match="group"):
+        bootstrap_interval(groups, np.random.default_rng(0))

@@ -18,7 +18,7 @@ from two_view_pose.pose_estimator.geometry import (
 )
 from two_view_pose.pose_estimator.mid_fusion import MidFusionEstimator
 from two_view_pose.pose_estimator.study_figures import draw_charts
-from two_view_pose.pose_estimator.study_insides import draw_insides, overheard
+from two_view_pose.pose_estimator.study_insides import capture_forward, plot_activations
 from two_view_pose.pose_estimator.study_pictures import CROP, Example, draw_example
 from two_view_pose.pose_estimator.study_units import NOISE
 
@@ -74,19 +74,19 @@ def test_a_keypoint_behind_the_camera_is_no_trouble(example, tmp_path):
 
 def test_the_insides_of_mid_fusion(example, networks, tmp_path):
     estimator = MidFusionEstimator(networks)
-    with overheard(networks.volume) as heard:
-        path = draw_insides(example, {"mid": estimator}, None, tmp_path / "insides_1.png")
+    with capture_forward(networks.volume) as calls:
+        path = plot_activations(example, {"mid": estimator}, None, tmp_path / "insides_1.png")
     assert path is not None and Image.open(path).width > 1000
-    assert heard  # by this test as well as by the drawing, which has let go again
+    assert calls  # by this test as well as by the drawing, which has let go again
     assert not networks.volume.fine.trunk._forward_hooks
-    assert draw_insides(example, {"late": estimator}, None, tmp_path / "b.png") is None
+    assert plot_activations(example, {"late": estimator}, None, tmp_path / "b.png") is None
 
 
-def test_overheard_modules_say_what_they_got_and_gave():
+def test_inputs_and_outputs_of_a_module_are_captured():
     layer = torch.nn.Linear(2, 1)
-    with overheard(layer) as heard:
+    with capture_forward(layer) as calls:
         out = layer(torch.ones(1, 2))
-    ((given,), told) = heard[0]
+    ((given,), told) = calls[0]
     assert given.tolist() == [[1.0, 1.0]] and told is out
 
 
