@@ -76,7 +76,7 @@ def _annotate(
     whole, box, inside = visible, bounding_box(mask), mask
     if width > 0 and height > 0:
         window_K = K - [[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]]
-        geom = scene.world.object_geoms[scene.world.object_names.index(name)]
+        geom = scene.world.geom(name)
         alone = scene.graphics.silhouette(geom, T_cam_world, window_K, height, width)
         x, y, *size = bounding_box(alone)
         box = NO_BOX if (x, y, *size) == NO_BOX else (x + left, y + top, size[0], size[1])

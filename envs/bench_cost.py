@@ -73,8 +73,8 @@ def crowded_scene(count: int) -> Scene:
 
 def show(scene: Scene, count: int) -> None:
     """Puts the first ``count`` objects upright on the table, from the middle outwards."""
-    from .arrangement import Arrangement, Thing
-    from .placement import Placed, resting_poses
+    from .arrangement import Arrangement, Prop
+    from .placement import PlacedObject
 
     side = int(np.ceil(np.sqrt(len(scene.objects))))
     steps = (np.arange(side) - (side - 1) / 2) * _SPACING
@@ -83,7 +83,7 @@ def show(scene: Scene, count: int) -> None:
     scene.show(
         Arrangement(
             {
-                name: Thing(Placed(resting_poses(scene.objects[name])[0], np.array(xy), 0.0))
+                name: Prop(PlacedObject(scene.stable_poses[name][0], np.array(xy), 0.0))
                 for name, xy in zip(names, places, strict=False)
             },
             {},

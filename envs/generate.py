@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 from tqdm import tqdm
 
+from .scene_kinds import SceneMixtureName
 from .stereo import check_stereo
 
 if TYPE_CHECKING:
     from ..assets.object_model import ObjectModel
     from .scene_writer import SceneMaker
 
-SceneKind = Literal["linemod", "clutter", "occlusion", "heap", "mixed", "all"]
 Sampling = Literal["sphere", "hand-held", "mixed", "stereo"]
 Layout = Literal["full", "basic"]
 Look = Literal["tidy", "busy"]
@@ -48,7 +48,7 @@ class GenerateConfig:
     thirteen. Each is the target equally often."""
     distractors: tuple[str, ...] = ()
     """Further objects that stand around, are annotated too, and are never the target."""
-    scene: SceneKind = "mixed"
+    scene: SceneMixtureName = "mixed"
     """`linemod` (light clutter), `clutter` (heavy), `occlusion` (the target between tall things) or
     `heap` (eight objects close together); `mixed` is the first two by turns, `all` these and
     heaps."""
@@ -123,7 +123,7 @@ class GenerateConfig:
             low, high = getattr(self, name)
             if not 0 <= low <= high <= 150:
                 raise ValueError(f"{name} must rise within 0 to 150 degrees, got {(low, high)}")
-        choices = {"scene": SceneKind, "sampling": Sampling, "layout": Layout, "look": Look}
+        choices = {"scene": SceneMixtureName, "sampling": Sampling, "layout": Layout, "look": Look}
         for name, allowed in ((name, get_args(kind)) for name, kind in choices.items()):
             if getattr(self, name) not in allowed:
                 raise ValueError(

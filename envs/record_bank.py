@@ -14,18 +14,17 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
 
 from ..pose_estimator.device import check_device
+from .scene_kinds import SceneKindName
 
 if TYPE_CHECKING:
     from .bank_recorder import BankRecorder
     from .view_bank import BankHeader, ViewBank
-
-Scene = Literal["linemod", "clutter", "occlusion", "heap"]
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ class RecordBankConfig:
     """The bank, an .npz file."""
     scenes: int = 1000
     """Number of scenes; 24 second views each."""
-    scene: Scene = "occlusion"
+    scene: SceneKindName = "occlusion"
     """Light clutter, heavy clutter, the target between tall things, or in a heap of objects."""
     seed: int = 0
     """Seed of the scenes: scene i is episode i of `evaluate-agent --seed`."""

@@ -15,7 +15,6 @@ import numpy as np
 
 from ..assets.object_model import ObjectModel
 from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K
-from .arrangement import target_visibility
 from .randomization import Randomization
 from .renderer import SceneRenderer
 from .scene import Scene, SceneConfig
@@ -134,8 +133,7 @@ class LocalStudio:
         """Visible fraction of the target from a camera (4, 4)."""
         state = self._scene.state
         assert state is not None
-        T_world_obj = state.T_world_obj[state.target]
-        return float(target_visibility(self._scene, state.target, T_world_obj, T_cam_world))
+        return float(self._scene.probe_visibility([state.target], T_cam_world)[0])
 
     def close(self) -> None:
         """Frees the GL context; the next picture opens another."""

@@ -1,6 +1,6 @@
 """The one MuJoCo model of a scene: all objects, plain shapes, a table and a room.
 
-It is compiled once. An episode moves bodies and changes sizes, colours, textures and lights in
+It is compiled once. An episode moves bodies and changes sizes, colors, textures and lights in
 place. Every object and shape is a free body whose collision geometry is its convex hull, so that
 what is placed can be checked by physics; pictures never step it.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 import trimesh
@@ -26,8 +27,15 @@ WALL_HALF = 1.6
 NEAR, FAR = 0.03, 12.0
 """Clipping planes in metres."""
 
-HIDDEN, ROOM, MOVABLE, PROBED = 3, 0, 1, 4
-"""Geom groups: not drawn, the table and the room, what stands on the table, drawn alone."""
+
+class GeomGroup(IntEnum):
+    """MuJoCo's geom groups, by which is chosen what is drawn."""
+
+    ROOM = 0  # the table too
+    MOVABLE = 1  # what stands on the table
+    HIDDEN = 3
+    ISOLATED = 4  # what is drawn alone for its silhouette
+
 
 SHAPE_KINDS = ("box", "box", "box", "box", "cylinder", "cylinder", "cylinder", "sphere", "sphere")
 LIGHTS = 3
@@ -63,6 +71,10 @@ class World:
     textures: dict[str, int]
     shine: dict[str, tuple[float, float]]
     qpos: dict[int, int]
+
+    def geom(self, name: str) -> int:
+        """The geom of an object."""
+        return int(self.object_geoms[self.object_names.index(name)])
 
 
 def compile_world(objects: Mapping[str, ObjectModel]) -> World:
@@ -128,7 +140,7 @@ def _add_room(spec: mujoco.MjSpec) -> None:
         size=TABLE_HALF,
         pos=(0.0, 0.0, -TABLE_HALF[2]),
         material="table",
-        group=ROOM,
+        group=GeomGroup.ROOM,
     )
     _make_collidable(table)
     # Flat boxes rather than planes: MuJoCo draws a plane in both directions and in many tiles.
@@ -136,17 +148,17 @@ def _add_room(spec: mujoco.MjSpec) -> None:
     _add_sheet(spec, "floor", (r, r), np.array([0.0, 0.0, FLOOR_Z]), np.eye(3))
     for i in range(4):
         cos, sin = np.cos(i * np.pi / 2), np.sin(i * np.pi / 2)
-        centre = np.array([r * cos, r * sin, FLOOR_Z + WALL_HALF])
+        center = np.array([r * cos, r * sin, FLOOR_Z + WALL_HALF])
         # Columns: along the wall, up, into the room.
         axes = np.array([[sin, 0.0, -cos], [-cos, 0.0, -sin], [0.0, 1.0, 0.0]])
-        _add_sheet(spec, f"wall{i}", (r, WALL_HALF), centre, axes)
+        _add_sheet(spec, f"wall{i}", (r, WALL_HALF), center, axes)
 
 
 def _add_sheet(
     spec: mujoco.MjSpec,
     name: str,
     half: tuple[float, float],
-    centre: np.ndarray,
+    center: np.ndarray,
     axes: np.ndarray,
 ) -> None:
     """A part of the room that nothing collides with; the third of its axes looks inwards."""
@@ -157,10 +169,10 @@ def _add_sheet(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=(*half, thickness),
-        pos=centre - thickness * axes[:, 2],
+        pos=center - thickness * axes[:, 2],
         quat=quat,
         material=name.rstrip("0123"),
-        group=ROOM,
+        group=GeomGroup.ROOM,
         contype=0,
         conaffinity=0,
     )
@@ -181,7 +193,7 @@ def _add_object(spec: mujoco.MjSpec, name: str, model: ObjectModel) -> None:
     material = _add_material(spec, key, key)
     material.specular, material.shininess = model.specular, model.shininess
     faces, vertex, normals = corner_shading(model.vertices, model.faces)
-    # A closed mesh knows its centre of mass; an open one borrows that of its hull.
+    # A closed mesh knows its center of mass; an open one borrows that of its hull.
     closed = trimesh.Trimesh(model.vertices, model.faces).is_volume
     inertia = mujoco.mjtMeshInertia
     mesh = spec.add_mesh(
