@@ -87,6 +87,12 @@ def camera_centre(T_cam_world: np.ndarray) -> np.ndarray:
     return invert(T_cam_world)[..., :3, 3]
 
 
+def sphere_direction(azimuth: float, elevation: float) -> np.ndarray:
+    """The unit vector (3,) of an azimuth from +x towards +y and an elevation, radians."""
+    level = np.cos(elevation)
+    return np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+
+
 def view_sphere_pose(
     center: np.ndarray, distance: float, azimuth: float, elevation: float, roll: float = 0.0
 ) -> np.ndarray:
@@ -102,14 +108,8 @@ def view_sphere_pose(
     Returns:
         T_cam_world (4, 4).
     """
-    direction = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
-    return look_at(np.asarray(center) + distance * direction, center, roll)
+    position = np.asarray(center) + distance * sphere_direction(azimuth, elevation)
+    return look_at(position, center, roll)
 
 
 @dataclass(frozen=True)

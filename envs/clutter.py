@@ -53,7 +53,7 @@ def place_occluded(request: ArrangementRequest) -> Placement:
 
 
 def place_surrounded(request: ArrangementRequest) -> Placement:
-    """LM-O's visibility, between tall things that hide the target from many other sides."""
+    """LM-O's visibility, between tall props that hide the target from many other sides."""
     search = _Search(request)
     return search.approach_lmo(search.surround)
 
@@ -97,7 +97,7 @@ class _Search:
         return table
 
     def surround(self) -> Arrangement:
-        """Puts tall things close around the target, boxes first, then objects as close as fits."""
+        """Puts tall props close around the target, boxes first, then objects as close as fits."""
         table = self.target_alone()
         self.add_shapes(table, (0.0, 0.0), tall=True)
         self.add_objects(table, (0.0, 0.0))
@@ -211,7 +211,7 @@ class _Search:
         return False
 
     def occluders(self, base: Arrangement) -> list[tuple[str | int, Prop]]:
-        """Things to hide the target behind: two tall neighbours, then a box that is tall enough."""
+        """Props to hide the target behind: two tall neighbors, then a box that is tall enough."""
         target = base.objects[self.target].placed.rest
         tall: list[tuple[str | int, Prop]] = [
             (name, prop)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..pose_estimator.geometry import make_transform
-from .camera import CameraRange, look_at
+from .camera import CameraRange, look_at, sphere_direction
 
 LOWEST = 0.05
 """Least height of the camera above the table, metres."""
@@ -159,7 +159,7 @@ def _aim(
     offset = cameras.look_at_noise * distance * (1.3 * across, along)
     aims = [center + o @ look_at(p, center)[:2, :3] for o, p in zip(offset.T, places, strict=True)]
     level = np.array([look_at(p, aim) for p, aim in zip(places, aims, strict=True)])[:, :3, :3]
-    # Seen from above, a level picture would spin as the camera goes by. A hand does not.
+    # Seen from above, a level image would spin as the camera goes by. A hand does not.
     spin = Rotation.from_matrix(level[1:] @ np.swapaxes(level[:-1], 1, 2)).as_rotvec()[:, 2]
     elevation = np.arcsin(-level[1:, 2, 2])
     spin *= np.clip((elevation - _LEVEL) / (_FREE - _LEVEL), 0.0, 1.0)
@@ -180,9 +180,7 @@ def _into_range(ray: np.ndarray, height: float, cameras: CameraRange) -> np.ndar
     lowest = np.arcsin(np.clip((LOWEST - height) / distance, -1.0, 1.0))
     low, high = max(cameras.elevation[0], lowest) + _EDGE, cameras.elevation[1] - _EDGE
     elevation = np.clip(np.arcsin(ray[2] / np.linalg.norm(ray)), low, max(low, high))
-    azimuth = np.arctan2(ray[1], ray[0])
-    level = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])
-    return distance * np.append(level, np.sin(elevation))
+    return distance * sphere_direction(np.arctan2(ray[1], ray[0]), elevation)
 
 
 def _trembling(rng: np.random.Generator, count: int) -> np.ndarray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .camera import sphere_direction
 from .sensor import SensorConfig
 from .textures import PATTERNS, PRINTED, procedural_texture
 from .validation import require_range, require_within
@@ -85,7 +86,7 @@ class Randomization:
     def busy(cls) -> Randomization:
         """What photographs of real desks ask for: posters, magazines and calibration boards lie
         around, the light is anything, colors of objects are not those of their models, the camera
-        is held askew and its pictures are noisy."""
+        is tilted and its images are noisy."""
         return cls(
             light_intensity=(0.4, 1.0),
             ambient=(0.28, 0.65),
@@ -189,7 +190,7 @@ def _set_lights(world: World, config: Randomization, rng: np.random.Generator) -
     spread = float(config.randomize_light_position)
     shares = (1.0 - 0.5 * spread * rng.uniform(0.0, 1.0, LIGHTS)) * (np.arange(LIGHTS) < count)
     shares *= power / shares.sum()
-    # MuJoCo's shadow map speckles a table that it meets askew; cameras stand anywhere anyway.
+    # MuJoCo's shadow map speckles a table that it meets obliquely; cameras stand anywhere anyway.
     azimuth = np.pi / 2 * rng.integers(4) * spread
     shadows = rng.uniform() < config.shadow_probability
     head = model.vis.headlight
@@ -201,13 +202,7 @@ def _set_lights(world: World, config: Randomization, rng: np.random.Generator) -
         elevation = rng.uniform(*config.light_elevation)
         angle = azimuth + (i > 0) * (i * 2.1 + spread * rng.uniform(-0.6, 0.6))
         distance = 1.8 + spread * rng.uniform(-0.4, 0.4)
-        direction = np.array(
-            [
-                np.cos(elevation) * np.cos(angle),
-                np.cos(elevation) * np.sin(angle),
-                np.sin(elevation),
-            ]
-        )
+        direction = sphere_direction(angle, elevation)
         warmth = config.color_temperature * rng.uniform(-1.0, 1.0)
         color = np.array([1.0 + warmth, 1.0, 1.0 - warmth])
         model.light_active[i] = i < count
@@ -264,7 +259,7 @@ def _shape_materials(world: World) -> list[int]:
 
 
 def _two_colors(rng: np.random.Generator, contrast: float, wooden: bool) -> np.ndarray:
-    """Two related colors as rooms have them: wood, grey, seldom saturated; (2, 3) in [0, 1]."""
+    """Two related colors as rooms have them: wood, gray, seldom saturated; (2, 3) in [0, 1]."""
     hue = rng.uniform(0.05, 0.11) if wooden else rng.uniform()
     saturation = rng.uniform(0.25, 0.65) if wooden else rng.beta(0.8, 6.0)
     value = rng.uniform(0.25, 0.88)

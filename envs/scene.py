@@ -149,7 +149,7 @@ class Scene:
 
     @property
     def shadows(self) -> bool:
-        """Whether a lamp that is lit casts shadows."""
+        """Whether a light that is on casts shadows."""
         model = self.world.model
         return bool(np.any(model.light_castshadow & model.light_active))
 

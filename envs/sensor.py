@@ -22,7 +22,7 @@ class SensorConfig:
         white_balance: largest change of the red and of the blue channel, as a fraction.
         gamma: largest change of the exponent, as a fraction.
         blur: largest standard deviation of the Gaussian blur, pixels.
-        noise: largest standard deviation of the noise, grey levels.
+        noise: largest standard deviation of the noise, gray levels.
         jpeg_probability: how often the image is compressed.
         jpeg_quality: lowest and highest JPEG quality, 1 to 100.
     """
@@ -51,10 +51,10 @@ class SensorState:
     """What one camera does to the images that it takes.
 
     Attributes:
-        white: grey level that white becomes in each channel, (3,).
+        white: gray level that white becomes in each channel, (3,).
         gamma: exponent of the tone curve.
         blur: standard deviation of the Gaussian blur, pixels.
-        noise: standard deviation of the noise, grey levels.
+        noise: standard deviation of the noise, gray levels.
         jpeg_quality: 1 to 100, or None for no compression.
     """
 

@@ -2,7 +2,7 @@
 
 It is compiled once. An episode moves bodies and changes sizes, colors, textures and lights in
 place. Every object and shape is a free body whose collision geometry is its convex hull, so that
-what is placed can be checked by physics; pictures never step it.
+what is placed can be checked by physics; rendering never steps it.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def compile_world(objects: Mapping[str, ObjectModel]) -> World:
     spec.compiler.degree = False
     spec.stat.extent, spec.stat.center = 1.0, (0.0, 0.0, 0.0)
     spec.visual.map.znear, spec.visual.map.zfar = NEAR, FAR
-    spec.visual.map.shadowscale = 0.35  # of a lamp's cone: the shadow map covers the clutter
+    spec.visual.map.shadowscale = 0.35  # of a light's cone: the shadow map covers the clutter
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 640, 480
     _add_room(spec)
     for i in range(LIGHTS):
@@ -93,7 +93,8 @@ def compile_world(objects: Mapping[str, ObjectModel]) -> World:
     for name, model in objects.items():
         _add_object(spec, name, model)
     for i in range(SHAPE_TEXTURES):
-        _add_texture(spec, f"shape{i}", SHAPE_TEXTURE, cube=True)
+        texture = _add_texture(spec, f"shape{i}", SHAPE_TEXTURE, 6 * SHAPE_TEXTURE)
+        texture.type = mujoco.mjtTexture.mjTEXTURE_CUBE
     for i, kind in enumerate(SHAPE_KINDS):
         _add_material(spec, f"shape{i}", f"shape{i % SHAPE_TEXTURES}")
         geom = _add_body(spec, f"shape{i}").add_geom(
@@ -132,7 +133,7 @@ def _add_room(spec: mujoco.MjSpec) -> None:
         ("wall", WALL_TEXTURE),
         ("floor", FLOOR_TEXTURE),
     ):
-        _add_texture(spec, name, size)
+        _add_texture(spec, name, size, size)
         _add_material(spec, name, name)
     table = spec.worldbody.add_geom(
         name="table",
@@ -181,15 +182,7 @@ def _add_sheet(
 def _add_object(spec: mujoco.MjSpec, name: str, model: ObjectModel) -> None:
     key = f"object:{name}"
     height, width = model.texture.shape[:2]
-    texture = spec.add_texture(
-        name=key,
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        colorspace=mujoco.mjtColorSpace.mjCOLORSPACE_LINEAR,
-        width=width,
-        height=height,
-        nchannel=3,
-    )
-    texture.data = model.texture.tobytes()
+    _add_texture(spec, key, width, height, model.texture.tobytes())
     material = _add_material(spec, key, key)
     material.specular, material.shininess = model.specular, model.shininess
     faces, vertex, normals = corner_shading(model.vertices, model.faces)
@@ -202,7 +195,7 @@ def _add_object(spec: mujoco.MjSpec, name: str, model: ObjectModel) -> None:
     mesh.uservert = model.vertices[vertex].ravel().tolist()
     mesh.userface = faces.ravel().tolist()
     mesh.usernormal = normals.ravel().tolist()
-    # MuJoCo's v runs down the picture, as its rows do.
+    # MuJoCo's v runs down the image, as its rows do.
     mesh.usertexcoord = (model.uv[vertex] * (1, -1) + (0, 1)).ravel().tolist()
     geom = _add_body(spec, key).add_geom(
         name=key, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=key, material=key
@@ -250,18 +243,20 @@ def corner_shading(
     return split.reshape(faces.shape), faces.ravel()[first], normals[first]
 
 
-def _add_texture(spec: mujoco.MjSpec, name: str, size: int, cube: bool = False) -> None:
-    kind = mujoco.mjtTexture.mjTEXTURE_CUBE if cube else mujoco.mjtTexture.mjTEXTURE_2D
-    height = 6 * size if cube else size
+def _add_texture(
+    spec: mujoco.MjSpec, name: str, width: int, height: int, data: bytes | None = None
+) -> mujoco.MjsTexture:
+    """Adds a flat texture, gray unless there is data."""
     texture = spec.add_texture(
         name=name,
-        type=kind,
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
         colorspace=mujoco.mjtColorSpace.mjCOLORSPACE_LINEAR,
-        width=size,
+        width=width,
         height=height,
         nchannel=3,
     )
-    texture.data = bytes([128]) * (3 * size * height)
+    texture.data = data or bytes([128]) * (3 * width * height)
+    return texture
 
 
 def _add_material(spec: mujoco.MjSpec, name: str, texture: str) -> mujoco.MjsMaterial:
