@@ -30,7 +30,7 @@ class PoseNoise:
     translation: float = 0.0
 
     def __post_init__(self) -> None:
-        require_within(self, 0, np.inf, "rotation_deg", "translation")
+        require_within(self, 0, np.inf, "rotation_deg", "translation", prefix="pose_noise.")
 
     @classmethod
     def of(cls, noise: PoseNoise | tuple[float, float] | None) -> PoseNoise:

@@ -7,15 +7,17 @@ from collections.abc import Sequence
 from numbers import Real
 
 
-def require_within(config: object, low: float, high: float, *names: str) -> None:
+def require_within(config: object, low: float, high: float, *names: str, prefix: str = "") -> None:
     """Checks that fields of ``config`` are finite numbers of ``low`` to ``high``, both included.
+
+    Errors name a field with ``prefix`` before it.
 
     Raises:
         ValueError: if one is not.
     """
     for name in names:
         value = getattr(config, name)
-        _require((value,), low, high, f"{name} must be", value)
+        _require((value,), low, high, f"{prefix}{name} must be", value)
 
 
 def require_range(config: object, low: float, high: float, *names: str) -> None:

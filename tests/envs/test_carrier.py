@@ -54,9 +54,9 @@ def test_no_noise_is_none():
         ((1.0,), "pose_noise must be"),
         ((1.0, 2.0, 3.0), "pose_noise must be"),
         ("much", "pose_noise must be"),
-        ((-1.0, 0.0), "rotation_deg must be >= 0, got -1.0"),
-        ((0.0, np.nan), "translation must be >= 0, got nan"),
-        ((0.0, "1 cm"), "translation must be >= 0, got '1 cm'"),
+        ((-1.0, 0.0), "pose_noise.rotation_deg must be >= 0, got -1.0"),
+        ((0.0, np.nan), "pose_noise.translation must be >= 0, got nan"),
+        ((0.0, "1 cm"), "pose_noise.translation must be >= 0, got '1 cm'"),
     ],
 )
 def test_bad_noise(noise, message):
