@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-Scene = Literal["linemod", "clutter", "occlusion", "heap"]
+from ..envs.scene_kinds import SceneKindName
+
 PlainArguments = Annotated[dict[str, Any], tyro.conf.Suppress]
 
 BOX_ENV, DISCRETE_ENV = "TwoViewPose-v0", "TwoViewPoseDiscrete-v0"
@@ -47,7 +48,7 @@ class TrainAgentConfig:
     """Folder for the policy, the checkpoint and the TensorBoard logs."""
     env: str | None = None
     """Environment id; by default TwoViewPoseDiscrete-v0 for dqn, else TwoViewPose-v0."""
-    scene: Scene = "linemod"
+    scene: SceneKindName = "linemod"
     """Light clutter, heavy clutter, the target between tall things, or in a heap of objects."""
     objects: tuple[str, ...] = ()
     """Names of objects or mesh files; by default the 13 of LineMOD."""
@@ -114,7 +115,7 @@ class EvaluateAgentConfig:
     from 70 degrees above), max-baseline (farthest in angle), uncertainty (the view that most
     shrinks the keypoints' covariance), oracle (knows the truth: an upper bound), an agent that
     ships, or files that train-agent wrote."""
-    scene: Scene = "linemod"
+    scene: SceneKindName = "linemod"
     """Light clutter, heavy clutter, the target between tall things, or in a heap of objects."""
     episodes: int | None = None
     """Scenes; by default 100, or all of a bank."""

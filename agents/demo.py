@@ -12,9 +12,9 @@ import gymnasium as gym
 import numpy as np
 from PIL import Image
 
+from ..envs.scene_kinds import SceneKindName
 from ..pose_estimator.device import check_device
 from ..pose_estimator.results import write_atomically, write_results
-from .config import Scene
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,7 +26,7 @@ class DemoConfig:
 
     object: str | None = None
     """Name of the object to look for; by default the seed draws one."""
-    scene: Scene = "occlusion"
+    scene: SceneKindName = "occlusion"
     """Light clutter, heavy clutter, an object between tall things, or in a heap."""
     policy: str = "greedy"
     """Who chooses the second view: greedy (a trained agent that ships), random, fixed (30 degrees

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, distance
 
-from ..pose_estimator.geometry import make_transform
+from ..pose_estimator.geometry import make_transform, transform
 
 KEYPOINT_COUNT = 9
 """Eight on the surface and the centre of the frame."""
@@ -88,23 +88,27 @@ def centre_of_mass(mesh: trimesh.Trimesh) -> np.ndarray:
     return np.asarray(solid.center_mass)
 
 
-def support_margin(mesh: trimesh.Trimesh, tolerance: float) -> float:
-    """How safely the mesh stands as it is, +z up.
+def support_margin(
+    mesh: trimesh.Trimesh, tolerance: float, T_table_obj: np.ndarray | None = None
+) -> float:
+    """How safely the mesh stands, +z up.
 
     Args:
         mesh: in the object frame.
         tolerance: vertices this close to the lowest one touch the ground (m).
+        T_table_obj: (4, 4), how it stands; None: as it is.
 
     Returns:
         Distance in the plane (m) from the centre of mass to the border of the support polygon,
         negative when it lies outside: the object tips over.
     """
-    vertices = mesh.vertices
+    T = np.eye(4) if T_table_obj is None else T_table_obj
+    vertices, weight = transform(T, mesh.vertices), transform(T, centre_of_mass(mesh))
     feet = vertices[vertices[:, 2] <= vertices[:, 2].min() + tolerance, :2]
     if len(feet) < 3 or np.linalg.matrix_rank(feet - feet[0], tol=1e-6) < 2:
         return -float("inf")
     planes = ConvexHull(feet).equations
-    return -float(np.max(planes[:, :2] @ centre_of_mass(mesh)[:2] + planes[:, 2]))
+    return -float(np.max(planes[:, :2] @ weight[:2] + planes[:, 2]))
 
 
 def stable_poses(mesh: trimesh.Trimesh, max_tilt: float = 0.1) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What a picture's annotations say of each object: boxes, visible fraction, mask and silhouette."""
+"""What an image's annotations say of each object: boxes, visible fraction, mask and silhouette."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class FrameAnnotations:
-    """What is known of one picture; the lists are in the order of the frame's ``object_names``.
+    """What is known of one image; the lists are in the order of the frame's ``object_names``.
 
     Attributes:
         annotations: BOP's, of each object.
@@ -33,12 +33,12 @@ class FrameAnnotations:
 def annotate(
     scene: Scene, frame: Frame, T_cam_world: np.ndarray, K: np.ndarray
 ) -> FrameAnnotations:
-    """Annotates a picture, drawing the silhouette of each of its objects.
+    """Annotates an image, drawing the silhouette of each of its objects.
 
     Args:
-        scene: as it stood when the picture was rendered.
+        scene: as it stood when the image was rendered.
         frame: rendered with masks.
-        T_cam_world: world to OpenCV camera, (4, 4), of the picture.
+        T_cam_world: world to OpenCV camera, (4, 4), of the image.
         K: its camera matrix, (3, 3).
 
     Raises:
@@ -66,9 +66,9 @@ def _annotate(
     T_cam_obj: np.ndarray,
     K: np.ndarray,
 ) -> tuple[BopAnnotation, np.ndarray]:
-    """An object's annotation, and its silhouette within the picture, bool (H, W).
+    """An object's annotation, and its silhouette within the image, bool (H, W).
 
-    The silhouette is drawn alone, in a window that also reaches beyond the picture.
+    The silhouette is drawn alone, in a window that also reaches beyond the image.
     """
     model = scene.objects[name]
     visible = int(np.count_nonzero(mask))
@@ -76,12 +76,16 @@ def _annotate(
     whole, box, inside = visible, bounding_box(mask), mask
     if width > 0 and height > 0:
         window_K = K - [[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]]
-        geom = scene.world.object_geoms[scene.world.object_names.index(name)]
+        geom = scene.world.geom(name)
         alone = scene.graphics.silhouette(geom, T_cam_world, window_K, height, width)
         x, y, *size = bounding_box(alone)
         box = NO_BOX if (x, y, *size) == NO_BOX else (x + left, y + top, size[0], size[1])
         whole = max(whole, int(np.count_nonzero(alone)))
-        inside = mask | _moved(alone, left, top, mask.shape)
+        # The window lies within one image's size around the image.
+        rows, columns = mask.shape
+        around = np.zeros((3 * rows, 3 * columns), dtype=bool)
+        around[rows + top : rows + top + height, columns + left : columns + left + width] = alone
+        inside = mask | around[rows : 2 * rows, columns : 2 * columns]
     annotation = BopAnnotation(
         obj_id=model.obj_id,
         T_cam_obj=T_cam_obj,
@@ -94,21 +98,12 @@ def _annotate(
     return annotation, inside
 
 
-def _moved(window: np.ndarray, left: int, top: int, shape: tuple[int, ...]) -> np.ndarray:
-    """What of a window, bool (h, w), lies in a picture of ``shape`` (H, W)."""
-    picture = np.zeros(shape, dtype=bool)
-    bottom, right = top + window.shape[0], left + window.shape[1]
-    part = window[max(0, -top) : max(0, shape[0] - top), max(0, -left) : max(0, shape[1] - left)]
-    picture[max(0, top) : max(0, bottom), max(0, left) : max(0, right)] = part
-    return picture
-
-
 def silhouette_window(
     model: ObjectModel, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, ...]
 ) -> tuple[int, int, int, int]:
     """Left, top, width, height in pixels of a window that holds the object's silhouette.
 
-    As in BOP, what is more than a picture's width or height outside of the picture is cut off.
+    As in BOP, what is more than an image's width or height outside of the image is cut off.
     An object that reaches behind the camera gets the largest window.
     """
     height, width = shape

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,22 +14,17 @@ from ..pose_estimator.geometry import (
     transform,
 )
 from .camera import CameraRange
-from .placement import Placed, Resting, free
-
-if TYPE_CHECKING:
-    from .scene import Scene
+from .placement import PlacedObject, StablePose, is_collision_free
 
 LMO_VISIBILITY = ((0.0, 0.05, 0.25, 0.5, 0.75, 1.0), (0.08, 0.17, 0.63, 0.88, 0.97, 1.0))
 """Quantiles of the target's visibility in LM-O: probabilities and values."""
 
-PROBE_SIZE = 96
-
 
 @dataclass(frozen=True, eq=False)
-class Thing:
+class Prop:
     """Something on the table; ``size`` is MuJoCo's geom size of a plain shape, else None."""
 
-    placed: Placed
+    placed: PlacedObject
     size: np.ndarray | None = None
 
 
@@ -38,83 +32,84 @@ class Thing:
 class Arrangement:
     """Everything on the table: objects by name, plain shapes by number."""
 
-    objects: dict[str, Thing]
-    shapes: dict[int, Thing]
+    objects: dict[str, Prop]
+    shapes: dict[int, Prop]
 
-    def rotated(self, centre: np.ndarray, angle: float) -> Arrangement:
-        """All of it turned by ``angle`` about ``centre`` (2,)."""
+    def rotated(self, center: np.ndarray, angle: float) -> Arrangement:
+        """All of it turned by ``angle`` radians about ``center`` (2,)."""
 
-        def turn(thing: Thing) -> Thing:
-            return replace(thing, placed=thing.placed.rotated(centre, angle))
+        def turn(prop: Prop) -> Prop:
+            return replace(prop, placed=prop.placed.rotated(center, angle))
 
         return Arrangement(
-            {name: turn(thing) for name, thing in self.objects.items()},
-            {i: turn(thing) for i, thing in self.shapes.items()},
+            {name: turn(prop) for name, prop in self.objects.items()},
+            {i: turn(prop) for i, prop in self.shapes.items()},
         )
 
-    def placed(self) -> list[Placed]:
-        """All things."""
-        return [t.placed for t in (*self.objects.values(), *self.shapes.values())]
+    def with_prop(self, key: str | int, prop: Prop) -> Arrangement:
+        """``prop`` is added, or moved if it was there; what it would touch is removed."""
+
+        def stays(name: str | int, other: Prop) -> bool:
+            return name != key and is_collision_free(other.placed, [prop.placed])
+
+        objects = {name: p for name, p in self.objects.items() if stays(name, p)}
+        shapes = {i: p for i, p in self.shapes.items() if stays(i, p)}
+        if isinstance(key, str):
+            objects[key] = prop
+        else:
+            shapes[key] = prop
+        return Arrangement(objects, shapes)
+
+    def placed(self) -> list[PlacedObject]:
+        """All props."""
+        return [prop.placed for prop in (*self.objects.values(), *self.shapes.values())]
+
+    def middle(self) -> np.ndarray:
+        """The point in the middle of all objects, (3,) metres, world."""
+        placed = [prop.placed for prop in self.objects.values()]
+        xy = np.mean([p.xy for p in placed], axis=0)
+        return np.append(xy, np.mean([p.rest.height for p in placed]) / 2)
 
     def clearance(self, points: np.ndarray) -> float:
-        """How far points (N, 3) stay away from all things, as upright cylinders; metres."""
+        """How far points (N, 3) stay away from all props, as upright cylinders; metres."""
         nearest = np.inf
-        for thing in self.placed():
-            beside = np.linalg.norm(points[:, :2] - thing.xy, axis=1) - thing.resting.radius
-            above = points[:, 2] - thing.resting.height
+        for placed in self.placed():
+            beside = np.linalg.norm(points[:, :2] - placed.xy, axis=1) - placed.rest.radius
+            above = points[:, 2] - placed.rest.height
             nearest = min(nearest, float(np.maximum(beside, above).min()))
         return nearest
 
 
-def joined(base: Arrangement, name: str | int, thing: Thing) -> Arrangement:
-    """``thing`` joins an arrangement; what it would touch leaves."""
-    rest = {
-        key: other
-        for key, other in (*base.objects.items(), *base.shapes.items())
-        if key != name and free(other.placed, [thing.placed])
-    }
-    rest[name] = thing
-    return Arrangement(
-        {key: t for key, t in rest.items() if isinstance(key, str)},
-        {key: t for key, t in rest.items() if isinstance(key, int)},
-    )
+def sample_shape_size(rng: np.random.Generator, kind: str, tall: bool = False) -> np.ndarray:
+    """A plain shape's size as MuJoCo's geom size, (3,) metres.
 
-
-def draw_size(rng: np.random.Generator, kind: str) -> np.ndarray:
-    """A plain shape's size as MuJoCo's geom size, (3,) metres."""
-    if kind == "box":
-        return rng.uniform((0.02, 0.02, 0.015), (0.08, 0.06, 0.1))
-    if kind == "cylinder":
-        return np.array([rng.uniform(0.02, 0.05), rng.uniform(0.015, 0.1), 0.0])
-    return np.array([rng.uniform(0.02, 0.05), 0.0, 0.0])
-
-
-def draw_tall_size(rng: np.random.Generator, kind: str) -> np.ndarray:
-    """The size of a plain shape that hides what is beside it: up to 0.4 m tall (spheres are not).
-
-    Returns:
-        MuJoCo's geom size, (3,) metres.
+    Tall boxes and cylinders, up to 0.4 m, hide what is beside them; spheres are never tall.
     """
     if kind == "box":
-        return rng.uniform((0.03, 0.02, 0.07), (0.09, 0.05, 0.2))
-    if kind == "cylinder":
-        return np.array([rng.uniform(0.02, 0.05), rng.uniform(0.03, 0.2), 0.0])
-    return draw_size(rng, kind)
+        if tall:
+            return rng.uniform((0.03, 0.02, 0.07), (0.09, 0.05, 0.2))
+        return rng.uniform((0.02, 0.02, 0.015), (0.08, 0.06, 0.1))
+    radius = rng.uniform(0.02, 0.05)
+    if kind == "sphere":
+        return np.array([radius, 0.0, 0.0])
+    return np.array([radius, rng.uniform(*((0.03, 0.2) if tall else (0.015, 0.1))), 0.0])
 
 
-def draw_rest(rng: np.random.Generator, ways: list[Resting], upright: float) -> Resting:
-    """Upright with this probability, else any of the other ways that a thing rests."""
-    if len(ways) == 1 or rng.uniform() < upright:
-        return ways[0]
-    return ways[1 + rng.integers(len(ways) - 1)]
+def sample_resting_pose(
+    rng: np.random.Generator, poses: list[StablePose], upright_probability: float
+) -> StablePose:
+    """The first pose, upright, with this probability, else any of the others."""
+    if len(poses) == 1 or rng.uniform() < upright_probability:
+        return poses[0]
+    return poses[1 + rng.integers(len(poses) - 1)]
 
 
 def probe_camera(points: np.ndarray, size: int) -> np.ndarray | None:
-    """The camera (3, 3) of a small square picture that holds all that LineMOD's camera sees.
+    """The camera (3, 3) of a small square image that holds all that LineMOD's camera sees.
 
     Args:
         points: what is to be seen, (N, 3) metres, camera frame.
-        size: side of the picture in pixels.
+        size: side of the image in pixels.
 
     Returns:
         K, or None where all the points lie behind the camera.
@@ -127,35 +122,26 @@ def probe_camera(points: np.ndarray, size: int) -> np.ndarray | None:
     return crop_matrix((low + high) / 2, side, size) @ LINEMOD_K
 
 
-def target_visibility(
-    scene: Scene, target: str, T_world_obj: np.ndarray, T_cam_world: np.ndarray
-) -> float:
-    """Visible fraction of an object of the scene as it stands, measured by a small picture."""
-    points = transform(T_cam_world @ T_world_obj, scene.objects[target].vertices)
-    K = probe_camera(points, PROBE_SIZE)
-    return 0.0 if K is None else scene.visibility(target, T_cam_world, K, PROBE_SIZE)
-
-
 def framing_camera(
     cameras: CameraRange,
     rng: np.random.Generator,
-    centre: np.ndarray,
+    center: np.ndarray,
     points: np.ndarray,
     tries: int,
 ) -> np.ndarray:
-    """A camera (4, 4) whose picture holds all points (N, 3) of the world, or most of them.
+    """A camera (4, 4) whose image holds all points (N, 3) of the world, or most of them.
 
     Args:
-        cameras: where it may stand around ``centre``.
+        cameras: where it may stand around ``center``.
         rng: draws it.
-        centre: (3,) metres.
-        points: what should be in the picture.
+        center: (3,) metres.
+        points: what should be in the image.
         tries: cameras to draw at most; the best one is taken.
     """
     height, width = LINEMOD_IMAGE_SIZE
     best, best_outside = None, np.inf
     for _ in range(tries):
-        T = cameras.sample(rng, centre)
+        T = cameras.sample(rng, center)
         uv = project(transform(T, points), LINEMOD_K)
         outside = float(np.mean((uv < 2) | (uv > (width - 3, height - 3))))
         if outside < best_outside:

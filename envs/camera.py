@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..pose_estimator.geometry import invert, make_transform
+from .validation import require_range, require_within
 
 _FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -32,12 +33,12 @@ def frustum(
 ) -> tuple[float, float, float, float]:
     """The sides (left, right, bottom, top) of OpenGL's frustum on its near plane, in metres.
 
-    The centre of the top-left pixel is (0, 0), so the picture begins half a pixel before it.
+    The center of the top-left pixel is (0, 0), so the image begins half a pixel before it.
 
     Args:
         K: camera matrix without skew, (3, 3), pixels.
-        height: height of the picture in pixels.
-        width: width of the picture in pixels.
+        height: height of the image in pixels.
+        width: width of the image in pixels.
         near: distance of the near plane, metres.
 
     Raises:
@@ -58,7 +59,7 @@ def look_at(position: np.ndarray, target: np.ndarray, roll: float = 0.0) -> np.n
     Args:
         position: (3,) metres, world.
         target: (3,) metres, world.
-        roll: turn about the optical axis in radians; at 0 the picture's rows are level.
+        roll: turn about the optical axis in radians; at 0 the image's rows are level.
 
     Returns:
         T_cam_world (4, 4).
@@ -81,13 +82,24 @@ def look_at(position: np.ndarray, target: np.ndarray, roll: float = 0.0) -> np.n
     return invert(make_transform(rotation, np.asarray(position, dtype=np.float64)))
 
 
+def camera_centre(T_cam_world: np.ndarray) -> np.ndarray:
+    """Where cameras (..., 4, 4) are in the world, (..., 3), metres."""
+    return invert(T_cam_world)[..., :3, 3]
+
+
+def sphere_direction(azimuth: float, elevation: float) -> np.ndarray:
+    """The unit vector (3,) of an azimuth from +x towards +y and an elevation, radians."""
+    level = np.cos(elevation)
+    return np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+
+
 def view_sphere_pose(
-    centre: np.ndarray, distance: float, azimuth: float, elevation: float, roll: float = 0.0
+    center: np.ndarray, distance: float, azimuth: float, elevation: float, roll: float = 0.0
 ) -> np.ndarray:
-    """A camera on the sphere around ``centre`` that looks at ``centre``.
+    """A camera on the sphere around ``center`` that looks at ``center``.
 
     Args:
-        centre: (3,) metres, world.
+        center: (3,) metres, world.
         distance: radius of the sphere in metres.
         azimuth: angle in the table's plane from +x towards +y, radians.
         elevation: angle above the table's plane, radians.
@@ -96,19 +108,13 @@ def view_sphere_pose(
     Returns:
         T_cam_world (4, 4).
     """
-    direction = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
-    return look_at(np.asarray(centre) + distance * direction, centre, roll)
+    position = np.asarray(center) + distance * sphere_direction(azimuth, elevation)
+    return look_at(position, center, roll)
 
 
 @dataclass(frozen=True)
 class CameraRange:
-    """Where a camera may stand around a point, and how carelessly it points there.
+    """Where a camera may stand around a point, and how far it may look past it.
 
     Attributes:
         distance: nearest and farthest, metres.
@@ -116,7 +122,7 @@ class CameraRange:
         azimuth: from and to, radians.
         roll: largest turn about the optical axis to either side, radians.
         look_at_noise: how far the optical axis may pass the point, as the tangent of the angle,
-            vertically; horizontally 1.3 times as far, as pictures are wider than high.
+            vertically; horizontally 1.3 times as far, as images are wider than high.
     """
 
     distance: tuple[float, float] = (0.6, 1.4)
@@ -126,27 +132,36 @@ class CameraRange:
     look_at_noise: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("distance", "elevation", "azimuth"):
-            low, high = getattr(self, name)
-            if not low <= high:
-                raise ValueError(f"{name} must be (lowest, highest), got {(low, high)}")
-        if self.distance[0] <= 0:
+        require_range(self, 0, np.inf, "distance")
+        require_range(self, -np.inf, np.inf, "azimuth")
+        require_range(self, -np.pi / 2, np.pi / 2, "elevation")
+        require_within(self, 0, np.inf, "roll", "look_at_noise")
+        if self.distance[0] == 0:
             raise ValueError(f"distance must be positive, got {self.distance}")
-        if abs(self.elevation[0]) > np.pi / 2 or abs(self.elevation[1]) > np.pi / 2:
-            raise ValueError(f"elevation must be in radians within +-pi/2, got {self.elevation}")
-        if self.roll < 0 or self.look_at_noise < 0:
-            raise ValueError("roll and look_at_noise must not be negative")
 
-    def sample(self, rng: np.random.Generator, centre: np.ndarray) -> np.ndarray:
-        """Draws a camera at a distance, azimuth and elevation from ``centre``; T_cam_world."""
+    def sample(self, rng: np.random.Generator, center: np.ndarray) -> np.ndarray:
+        """Draws a camera at a distance, azimuth and elevation from ``center``; T_cam_world."""
         distance = rng.uniform(*self.distance)
         azimuth = rng.uniform(*self.azimuth)
         elevation = rng.uniform(*self.elevation)
         roll = rng.uniform(-self.roll, self.roll)
+        straight = view_sphere_pose(center, distance, azimuth, elevation)
+        aim = self.sample_aim(rng, center, distance, straight)
+        return look_at(camera_centre(straight), aim, roll)
+
+    def sample_aim(
+        self, rng: np.random.Generator, center: np.ndarray, distance: float, straight: np.ndarray
+    ) -> np.ndarray:
+        """Draws the point (3,) to look at instead of ``center``, beside it by the look-at noise.
+
+        Args:
+            rng: draws it.
+            center: (3,) metres, world.
+            distance: of the camera from it, metres.
+            straight: T_cam_world (4, 4) of the camera if it looked at ``center``.
+        """
         offset = self.look_at_noise * distance * rng.uniform((-1.3, -1.0), (1.3, 1.0))
-        straight = view_sphere_pose(centre, distance, azimuth, elevation)
-        position = -straight[:3, :3].T @ straight[:3, 3]
-        return look_at(position, centre + offset @ straight[:2, :3], roll)
+        return center + offset @ straight[:2, :3]
 
 
 CAMERA_RANGE = CameraRange()

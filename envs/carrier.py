@@ -6,15 +6,15 @@ with reach and joint limits is another class with the same two methods.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from numbers import Real
 from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..pose_estimator.geometry import check_rigid, invert, make_transform
+from ..pose_estimator.geometry import check_rigid, make_transform
+from .camera import camera_centre
+from .validation import require_within
 
 
 @dataclass(frozen=True)
@@ -30,12 +30,7 @@ class PoseNoise:
     translation: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("rotation_deg", "translation"):
-            value = getattr(self, name)
-            if not isinstance(value, Real) or not math.isfinite(value) or value < 0:
-                raise ValueError(
-                    f"pose_noise.{name} must be a finite number of at least 0, got {value!r}"
-                )
+        require_within(self, 0, np.inf, "rotation_deg", "translation", prefix="pose_noise.")
 
     @classmethod
     def of(cls, noise: PoseNoise | tuple[float, float] | None) -> PoseNoise:
@@ -117,11 +112,6 @@ def angle_at(centre: np.ndarray, T_cam_world: np.ndarray, T_other_world: np.ndar
     first, last = camera_centre(T_cam_world) - centre, camera_centre(T_other_world) - centre
     sine, cosine = np.linalg.norm(np.cross(first, last)), first @ last
     return float(np.rad2deg(np.arctan2(sine, cosine)))
-
-
-def camera_centre(T_cam_world: np.ndarray) -> np.ndarray:
-    """Where cameras (..., 4, 4) are in the world, (..., 3), metres."""
-    return invert(T_cam_world)[..., :3, 3]
 
 
 def directions_from(centre: np.ndarray, T_cam_world: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import norm
 
 from ..pose_estimator.geometry import check_depth, check_intrinsics
+from .validation import require_within
 
 _GRAZING_SOFTNESS = np.deg2rad(2.0)
 """Scale of the logistic curve by which pixels are lost at grazing angles."""
@@ -47,11 +48,9 @@ class DepthSensorConfig:
     farthest: float = 5.0
 
     def __post_init__(self) -> None:
-        for name in ("axial", "lateral", "correlation", "disparity_step", "baseline", "nearest"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} must be at least 0, got {getattr(self, name)}")
-        if not 0 <= self.edge_loss <= 1:
-            raise ValueError(f"edge_loss must be a share of 0 to 1, got {self.edge_loss}")
+        names = ("axial", "lateral", "correlation", "disparity_step", "baseline", "nearest")
+        require_within(self, 0, np.inf, *names)
+        require_within(self, 0, 1, "edge_loss")
         if not 0 < self.grazing <= 90:
             raise ValueError(f"grazing must be above 0 and at most 90 degrees, got {self.grazing}")
         if not self.nearest < self.farthest:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -23,31 +24,7 @@ _WARM_UP = 2
 _ESTIMATES = 5
 """Timed estimates of each method; the median counts."""
 
-_RENDER_ONE_FRAME = """
-import numpy
-from two_view_pose.envs import gl
-import mujoco
-context = gl.open_context(32, 32)
-model = mujoco.MjModel.from_xml_string(
-    "<mujoco><worldbody><light pos='0 0 2'/><geom size='.1'/>"
-    "<camera pos='0 -1 0' xyaxes='1 0 0 0 0 1'/></worldbody></mujoco>")
-data = mujoco.MjData(model)
-mujoco.mj_forward(model, data)
-scene = mujoco.MjvScene(model, 10)
-camera = mujoco.MjvCamera()
-camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
-everything = mujoco.mjtCatBit.mjCAT_ALL
-mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, everything, scene)
-drawing = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, drawing)
-area = mujoco.MjrRect(0, 0, 32, 32)
-mujoco.mjr_render(area, scene, drawing)
-frame = numpy.zeros((32, 32, 3), numpy.uint8)
-mujoco.mjr_readPixels(frame, None, area, drawing)
-if frame.std() < 1:
-    raise SystemExit(f"{gl.backend()} opens, but its frame is empty")
-print(gl.backend())
-"""
+_RENDER = f"from {__package__} import graphics; graphics.check_rendering()"
 
 
 @dataclass(frozen=True)
@@ -66,30 +43,29 @@ class Check:
 
     Attributes:
         name: what was checked.
-        works: whether it works; None if it is only worth knowing.
+        passed: whether it works; None if it is only worth knowing.
         text: what was found, or what to do.
     """
 
     name: str
-    works: bool | None
+    passed: bool | None
     text: str
 
 
 def check_opengl() -> Check:
-    """Renders one small frame in a process of its own, since a broken driver may end it."""
+    """Renders one small image in a process of its own, since a broken driver may end it."""
     try:
         process = subprocess.run(
-            [sys.executable, "-c", _RENDER_ONE_FRAME], capture_output=True, text=True, timeout=120
+            [sys.executable, "-c", _RENDER], capture_output=True, text=True, timeout=120
         )
     except subprocess.TimeoutExpired:
-        return Check("OpenGL", False, "no frame within 120 s")
+        return Check("OpenGL", False, "no image within 120 s")
     if process.returncode == 0:
         return Check("OpenGL", True, f"{process.stdout.strip()} renders")
     lines = [line for line in process.stderr.splitlines() if line.strip()]
     if not lines:
         return Check("OpenGL", False, f"the renderer ended with code {process.returncode}")
-    reason = lines[-1].strip().removeprefix("two_view_pose.envs.gl.GraphicsUnavailable: ")
-    return Check("OpenGL", False, reason)
+    return Check("OpenGL", False, re.sub(r"^[\w.]+(Error|Unavailable): ", "", lines[-1].strip()))
 
 
 def check_machine() -> Iterator[Check]:
@@ -177,14 +153,14 @@ def doctor(config: DoctorConfig) -> int:
     """Prints every check; returns 0, or 1 if something that is needed does not work."""
     done = []
     for check in checks(config.quick):
-        mark = {True: "ok", False: "FAILS", None: ""}[check.works]
+        mark = {True: "ok", False: "FAILS", None: ""}[check.passed]
         print(f"{mark:>5}  {check.name}: {check.text}", flush=True)
         done.append(check)
     if config.json is not None:
         records = [
-            {"metric": "works", "value": int(check.works), "unit": "1", "check": check.name}
+            {"metric": "works", "value": int(check.passed), "unit": "1", "check": check.name}
             for check in done
-            if check.works is not None
+            if check.passed is not None
         ]
         write_results(config.json, records, command="doctor", seed=None)
-    return int(any(check.works is False for check in done))
+    return int(any(check.passed is False for check in done))

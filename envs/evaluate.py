@@ -11,6 +11,7 @@ from ..pose_estimator.evaluate_config import EvaluateConfig
 from ..pose_estimator.find_dataset import find_dataset
 from ..pose_estimator.score_results import score_file
 from .generate import GenerateConfig, generate
+from .scene_kinds import SCENE_KINDS
 
 
 def evaluate(config: EvaluateConfig) -> None:
@@ -29,6 +30,8 @@ def evaluate(config: EvaluateConfig) -> None:
         root = find_dataset(config.data)
         score_file(config, root, {"dataset": root.name})
         return
+    if config.scene not in SCENE_KINDS:  # the estimator's package does not know our scenes
+        raise ValueError(f"scene must be one of {', '.join(SCENE_KINDS)}, got {config.scene!r}")
     check_device(config.device)
     if config.data is not None:
         root = find_dataset(config.data)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from .scene_kinds import SceneMixtureName
 from .stereo import check_stereo
 
-SceneKind = Literal["linemod", "clutter", "occlusion", "heap", "mixed", "all"]
 Sampling = Literal["sphere", "hand-held", "mixed", "stereo"]
 Annotations = Literal["full", "basic"]
 DomainRandomization = Literal["default", "strong"]
@@ -34,7 +34,7 @@ class GenerateConfig:
     thirteen. Each is the target equally often."""
     distractors: tuple[str, ...] = ()
     """Further objects that stand around, are annotated too, and are never the target."""
-    scene: SceneKind = "mixed"
+    scene: SceneMixtureName = "mixed"
     """`linemod` (light clutter), `clutter` (heavy), `occlusion` (the target between tall things) or
     `heap` (eight objects close together); `mixed` is the first two by turns, `all` these and
     heaps."""
@@ -136,7 +136,7 @@ class GenerateConfig:
 _MINIMUMS = {"scenes": 1, "views": 1, "workers": 1, "seed": 0, "references": 0, "worker_memory": 0}
 _RANGES = {"width": (16, 4096), "height": (16, 4096), "jpeg_quality": (0, 100)}
 _CHOICES: dict[str, Any] = {
-    "scene": SceneKind,
+    "scene": SceneMixtureName,
     "sampling": Sampling,
     "annotations": Annotations,
     "domain_randomization": DomainRandomization,

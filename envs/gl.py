@@ -1,7 +1,7 @@
 """Chooses how to draw without a screen: EGL where it works, else OSMesa.
 
 ``MUJOCO_GL`` decides where it is set. PyOpenGL binds itself to one platform when it is first
-imported, so nothing here imports it before the first picture is wanted.
+imported, so nothing here imports it before the first image is wanted.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ except Exception as error:  # MuJoCo opens the library that MUJOCO_GL names when
 
 
 def backend() -> str | None:
-    """The back-end in use ("egl", "osmesa", ...), or None before the first picture."""
+    """The back-end in use ("egl", "osmesa", ...), or None before the first image."""
     return _backend
 
 
@@ -44,7 +44,7 @@ def open_context(width: int, height: int) -> Any:
     """Opens a GL context of MuJoCo's (it has ``make_current`` and ``free``).
 
     Args:
-        width: width in pixels of the largest picture (OSMesa needs to know).
+        width: width in pixels of the largest image (OSMesa needs to know).
         height: its height.
 
     Raises:
@@ -57,7 +57,7 @@ def open_context(width: int, height: int) -> Any:
         raise GraphicsUnavailable(
             "this process was forked from one that had already rendered, which OpenGL does not "
             'survive: start workers with the "spawn" or "forkserver" method, or before the first '
-            "picture"
+            "image"
         )
     wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
     candidates: tuple[str, ...]
@@ -92,7 +92,7 @@ def open_context(width: int, height: int) -> Any:
 
 
 def _forget_platform() -> None:
-    """Lets PyOpenGL choose its platform anew at the next import."""
+    """Lets PyOpenGL choose its platform again at the next import."""
     os.environ.pop("PYOPENGL_PLATFORM", None)
     for name in list(sys.modules):
         if name.split(".")[0] == "OpenGL" or name.startswith(("mujoco.egl", "mujoco.osmesa")):

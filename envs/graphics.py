@@ -9,21 +9,22 @@ from __future__ import annotations
 import atexit
 import os
 import weakref
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
 
 from ..pose_estimator.geometry import invert
-from .camera import frustum, opencv_to_opengl
-from .gl import mujoco, open_context
-from .world import FAR, MOVABLE, NEAR, PROBED, ROOM
+from .camera import frustum, opencv_to_opengl, view_sphere_pose
+from .gl import backend, mujoco, open_context
+from .world import FAR, NEAR, GeomGroup, World, compile_world
 
-if TYPE_CHECKING:
-    from .scene import Scene
-
+SAMPLES = 0
+"""Of multisampling; none is several times faster."""
 SHADOW_MAP_SIZE = 512
-LARGEST_SIDE = 4096
+"""Side of the shadow map in pixels."""
+MAX_SIDE = 4096
+"""Of an image, pixels."""
 _MAX_GEOMS = 200  # at most 255: then a byte tells them apart
 
 TILE = (480, 640)
@@ -31,21 +32,21 @@ TILE = (480, 640)
 
 
 class Graphics:
-    """The GL context of one scene: made at the first picture, in the process that draws it.
+    """The GL context of one scene: made at the first image, in the process that draws it.
 
     All renderers of a scene share it, so meshes and textures lie in memory once.
 
     Args:
-        scene: what is drawn.
-        samples: of multisampling; none is several times faster.
-        shadow_map: side of the shadow map in pixels.
+        world: what is drawn.
+        data: where its bodies are.
+        texture_versions: counts the changes of each texture, (ntex,); what changed is uploaded
+            before the next image.
     """
 
-    def __init__(self, scene: Scene, samples: int = 0, shadow_map: int = SHADOW_MAP_SIZE) -> None:
-        self._quality = (samples, shadow_map)
-        self._world = scene.world
-        self._data = scene.data
-        self._versions = scene.texture_versions
+    def __init__(self, world: World, data: mujoco.MjData, texture_versions: np.ndarray) -> None:
+        self._world = world
+        self._data = data
+        self._versions = texture_versions
         self._uploaded = np.zeros_like(self._versions)
         self._gl: Any = None
         self._context: mujoco.MjrContext | None = None
@@ -63,7 +64,7 @@ class Graphics:
         width: int,
         *,
         segment: bool = False,
-        groups: tuple[int, ...] = (MOVABLE, ROOM),
+        groups: tuple[int, ...] = (GeomGroup.MOVABLE, GeomGroup.ROOM),
         shadows: bool = True,
     ) -> mujoco.MjrRect:
         """Draws into the lower left corner of the buffer; :meth:`read` gets the pixels.
@@ -100,7 +101,7 @@ class Graphics:
     def read(
         self, rect: mujoco.MjrRect, rgb: bool = True, depth: bool = False
     ) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """The picture just drawn: RGB (H, W, 3) uint8 and z-depth (H, W) float32 in metres."""
+        """The image just drawn: RGB (H, W, 3) uint8 and z-depth (H, W) float32 in metres."""
         shape = (rect.height, rect.width)
         pixels = np.empty((*shape, 3), dtype=np.uint8) if rgb else None
         buffer = np.empty(shape, dtype=np.float32) if depth else None
@@ -115,7 +116,7 @@ class Graphics:
         return pixels, buffer
 
     def geoms(self, rect: mujoco.MjrRect, numbers: np.ndarray | None = None) -> np.ndarray:
-        """What is at each pixel of a picture drawn with ``segment``, (H, W) int32, else -1.
+        """What is at each pixel of an image drawn with ``segment``, (H, W) int32, else -1.
 
         Args:
             rect: as :meth:`draw` returned it.
@@ -134,7 +135,7 @@ class Graphics:
     ) -> np.ndarray:
         """Where ``geom`` would be seen with nothing before it, (H, W) bool.
 
-        What is larger than ``TILE`` is drawn in parts: windows reach far beyond the picture now and
+        What is larger than ``TILE`` is drawn in parts: windows reach far beyond the image now and
         then, and the buffer, which never shrinks, would grow with the largest of them.
         """
         whole = np.zeros((height, width), dtype=bool)
@@ -150,9 +151,11 @@ class Graphics:
     ) -> np.ndarray:
         group = self._world.model.geom_group
         before = int(group[geom])
-        group[geom] = PROBED
+        group[geom] = GeomGroup.ISOLATED
         try:
-            rect = self.draw(T_cam_world, K, height, width, segment=True, groups=(PROBED,))
+            rect = self.draw(
+                T_cam_world, K, height, width, segment=True, groups=(GeomGroup.ISOLATED,)
+            )
         finally:
             group[geom] = before
         pixels, _ = self.read(rect)
@@ -160,7 +163,7 @@ class Graphics:
         return pixels[..., 0] > 0
 
     def close(self) -> None:
-        """Frees the context; the next picture opens another."""
+        """Frees the context; the next image opens another."""
         if self._context is not None and self._pid == os.getpid():
             self._gl.make_current()
             self._context.free()
@@ -177,11 +180,11 @@ class Graphics:
             self._keep = (self._gl, self._context)
             self._gl = self._context = None
         if self._context is None:
-            self._gl = open_context(LARGEST_SIDE, LARGEST_SIDE)
+            self._gl = open_context(MAX_SIDE, MAX_SIDE)
             self._gl.make_current()
             quality = model.vis.quality
             default = quality.offsamples, quality.shadowsize
-            quality.offsamples, quality.shadowsize = self._quality
+            quality.offsamples, quality.shadowsize = SAMPLES, SHADOW_MAP_SIZE
             try:
                 self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
             finally:
@@ -229,8 +232,8 @@ def aim(
         scene: its cameras are changed.
         T_cam_world: world to OpenCV camera, (4, 4).
         K: camera matrix in pixels, (3, 3).
-        height: of the picture, pixels.
-        width: of the picture, pixels.
+        height: of the image, pixels.
+        width: of the image, pixels.
     """
     T_world_camera = invert(opencv_to_opengl(T_cam_world))
     left, right, bottom, top = frustum(K, height, width, NEAR)
@@ -242,3 +245,21 @@ def aim(
         camera.frustum_width = (right - left) / 2
         camera.frustum_bottom, camera.frustum_top = bottom, top
         camera.frustum_near, camera.frustum_far = NEAR, FAR
+
+
+def check_rendering() -> None:
+    """Renders a table in a small image and prints the name of the OpenGL back-end.
+
+    Raises:
+        GraphicsUnavailable: if there is no OpenGL to draw with.
+        RuntimeError: if the image is empty.
+    """
+    world = compile_world({})
+    graphics = Graphics(world, mujoco.MjData(world.model), np.zeros(world.model.ntex))
+    mujoco.mj_forward(world.model, graphics._data)
+    K = np.array([[32.0, 0.0, 15.5], [0.0, 32.0, 15.5], [0.0, 0.0, 1.0]])
+    image, _ = graphics.read(graphics.draw(view_sphere_pose(np.zeros(3), 2.0, 0.5, 0.5), K, 32, 32))
+    assert image is not None
+    if image.std() < 1:
+        raise RuntimeError(f"{backend()} opens, but its image is empty")
+    print(backend())

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from .observation import Observation
-
 _TRANSLATION = np.array([-1, 1, 1], dtype=np.float32)
 _ROTATION = np.array([1, -1, -1, -1, 1, 1], dtype=np.float32)
 """Signs of S R S with S = diag(-1, 1, 1), its first two columns one after the other."""
@@ -38,7 +36,7 @@ class Mirror:
             raise ValueError("mirror needs candidate views that are the same to the left and right")
         self.slots = distances.argmin(axis=1)
 
-    def observation(self, observation: Observation) -> Observation:
+    def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """The observation of the mirrored scene; also of a batch of them (..., n)."""
         flipped = dict(observation)
         flipped["image"] = observation["image"][..., ::-1, :].copy()

@@ -13,6 +13,7 @@ from ..pose_estimator.bop_pairs import BopPair
 from ..pose_estimator.bop_targets import LEAST_VISIBLE
 from ..pose_estimator.geometry import invert
 from .generate_config import GenerateConfig
+from .scene_kinds import SCENE_KINDS
 from .scene_plan import plan_scene, target_names
 from .view_spread import viewing_angle
 
@@ -40,7 +41,9 @@ def two_view_pairs(config: GenerateConfig) -> Iterator[BopPair]:
                 if config.pair_angles[0] <= pair.baseline_deg <= config.pair_angles[1]:
                     yield pair
                 continue
-            for obj_id in _shown(images[first], targets if plan.kind == "heap" else [target]):
+            for obj_id in _shown(
+                images[first], targets if SCENE_KINDS[plan.kind].all_targets else [target]
+            ):
                 gap = None if plan.stereo else second - first
                 yield replace(pair, target_obj_id=obj_id, gap=gap)
 

@@ -1,6 +1,6 @@
-"""Puts things on the table: each rests in a stable pose, none touches another.
+"""Puts objects and plain shapes on the table: each in a stable pose, none touching another.
 
-Things are kept apart by their footprints, the convex hulls of their shadows straight down. That is
+They are kept apart by their footprints, the convex hulls of their shadows straight down. That is
 stricter than need be (nothing reaches over anything), exact, and takes microseconds.
 """
 
@@ -13,17 +13,19 @@ import numpy as np
 import trimesh
 
 from ..assets.object_model import ObjectModel
+from ..assets.surface import support_margin
 from ..pose_estimator.geometry import make_transform, transform
+from .world import TABLE_HALF
 
 GAP = 0.003
-"""Least distance between two footprints in metres."""
-STEADY = 0.003
-"""How far inside its support a thing's weight must act to be left lying that way, metres."""
+"""Smallest distance between two footprints, metres."""
+MIN_SUPPORT_MARGIN = 0.003
+"""How far inside its support polygon the center of mass of a resting object is, metres."""
 
 
 @dataclass(frozen=True, eq=False)
-class Resting:
-    """A thing in a pose in which it rests on the table, its footprint centred on the origin.
+class StablePose:
+    """A pose in which something rests on the table, its footprint centered on the origin.
 
     Attributes:
         T_table_obj: (4, 4) metres.
@@ -39,52 +41,47 @@ class Resting:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
-    """A resting thing at a place on the table.
+class PlacedObject:
+    """An object or plain shape at a place on the table.
 
     Attributes:
-        resting: the thing and the way it rests.
-        xy: where its footprint's centre is, (2,) metres.
+        rest: how it rests.
+        xy: where its footprint's center is, (2,) metres.
         yaw: its turn about the vertical, radians.
     """
 
-    resting: Resting
+    rest: StablePose
     xy: np.ndarray
     yaw: float
 
     @property
     def outline(self) -> np.ndarray:
         """Footprint on the table, (M, 2) metres."""
-        return self.resting.footprint @ _turn(self.yaw).T + self.xy
+        return self.rest.footprint @ _turn(self.yaw).T + self.xy
 
     @property
     def T_world_obj(self) -> np.ndarray:
-        """The thing's pose in the world, (4, 4)."""
+        """Its pose in the world, (4, 4)."""
         turn = np.eye(3)
         turn[:2, :2] = _turn(self.yaw)
-        return make_transform(turn, np.append(self.xy, 0.0)) @ self.resting.T_table_obj
+        return make_transform(turn, np.append(self.xy, 0.0)) @ self.rest.T_table_obj
 
-    def rotated(self, centre: np.ndarray, angle: float) -> Placed:
-        """The same thing after the table turned by ``angle`` radians about ``centre`` (2,)."""
-        xy = centre + _turn(angle) @ (self.xy - centre)
-        return Placed(self.resting, xy, self.yaw + angle)
-
-    def moved(self, xy: np.ndarray) -> Placed:
-        """The same thing elsewhere."""
-        return Placed(self.resting, np.asarray(xy, dtype=np.float64), self.yaw)
+    def rotated(self, center: np.ndarray, angle: float) -> PlacedObject:
+        """The same after the table turned by ``angle`` radians about ``center`` (2,)."""
+        xy = center + _turn(angle) @ (self.xy - center)
+        return PlacedObject(self.rest, xy, self.yaw + angle)
 
 
-def resting_poses(model: ObjectModel) -> list[Resting]:
+def stable_poses(model: ObjectModel) -> list[StablePose]:
     """The ways an object rests, upright first; precarious ones are left out."""
     mesh = trimesh.Trimesh(model.vertices, model.faces)
-    centre = mesh.center_mass if mesh.is_volume else mesh.convex_hull.center_mass
     upright, *others = model.stable_poses
-    steady = [T for T in others if _support_margin(model.vertices, centre, T) > STEADY]
-    return [_rest(model.vertices, T) for T in (upright, *steady)]
+    stable = [T for T in others if support_margin(mesh, 0.0005, T) > MIN_SUPPORT_MARGIN]
+    return [_stable_pose(model.vertices, T) for T in (upright, *stable)]
 
 
-def resting_shape(kind: str, size: np.ndarray) -> Resting:
-    """A plain shape that stands on the table.
+def resting_shape(kind: str, size: np.ndarray) -> StablePose:
+    """How a plain shape stands on the table.
 
     Args:
         kind: "box", "cylinder" or "sphere".
@@ -99,7 +96,8 @@ def resting_shape(kind: str, size: np.ndarray) -> Resting:
         corners = around * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         half_height = size[1] if kind == "cylinder" else size[0]
     T = make_transform(np.eye(3), np.array([0.0, 0.0, half_height]))
-    return Resting(T, corners, float(np.linalg.norm(corners, axis=1).max()), 2 * float(half_height))
+    radius = float(np.linalg.norm(corners, axis=1).max())
+    return StablePose(T, corners, radius, 2 * float(half_height))
 
 
 def separated(a: np.ndarray, b: np.ndarray, gap: float = GAP) -> bool:
@@ -117,84 +115,64 @@ def separated(a: np.ndarray, b: np.ndarray, gap: float = GAP) -> bool:
     return False
 
 
-def free(thing: Placed, others: list[Placed]) -> bool:
-    """Whether ``thing`` keeps its distance from all the others."""
+def is_collision_free(placed: PlacedObject, others: list[PlacedObject]) -> bool:
+    """Whether ``placed`` keeps its distance from all the others."""
     outline = None
     for other in others:
-        reach = thing.resting.radius + other.resting.radius + GAP
-        if np.sum((thing.xy - other.xy) ** 2) >= reach * reach:
+        reach = placed.rest.radius + other.rest.radius + GAP
+        if np.sum((placed.xy - other.xy) ** 2) >= reach * reach:
             continue
-        outline = thing.outline if outline is None else outline
+        outline = placed.outline if outline is None else outline
         if not separated(outline, other.outline):
             return False
     return True
 
 
-def on_table(thing: Placed, half: tuple[float, ...]) -> bool:
-    """Whether the whole footprint is on a table of these half sides, metres."""
-    return bool(np.all(np.abs(thing.outline) <= np.asarray(half[:2]) - 0.01))
+def on_table(placed: PlacedObject) -> bool:
+    """Whether the whole footprint is on the table, at least 1 cm from its edge."""
+    return bool(np.all(np.abs(placed.outline) <= np.asarray(TABLE_HALF[:2]) - 0.01))
 
 
 def pack(
     rng: np.random.Generator,
-    resting: Resting,
-    others: list[Placed],
-    centre: np.ndarray,
-    nearest: float,
-    half: tuple[float, ...],
-    reach: float = 0.6,
-) -> Placed | None:
-    """Puts a thing in a random direction from ``centre``, as near as ``nearest`` if it fits.
+    rest: StablePose,
+    others: list[PlacedObject],
+    center: np.ndarray,
+    min_distance: float = 0.0,
+) -> PlacedObject | None:
+    """Puts something in a random direction from ``center``, as near as it fits.
 
-    It slides outwards until it touches nothing.
+    It slides outwards, up to 0.6 m, until it touches nothing.
 
     Args:
         rng: draws direction and yaw.
-        resting: the thing.
+        rest: how it rests.
         others: what already stands there.
-        centre: (2,) metres.
-        nearest: least distance from the centre, metres.
-        half: half sides of the table, metres.
-        reach: farthest distance from the centre, metres.
+        center: (2,) metres.
+        min_distance: where it starts, metres from the center.
 
     Returns:
-        The placed thing, or None if there was no room in that direction.
+        What was placed, or None if there was no room in that direction.
     """
     angle, yaw = rng.uniform(-np.pi, np.pi, 2)
     direction = np.array([np.cos(angle), np.sin(angle)])
-    for distance in np.arange(nearest, reach, 0.01):
-        thing = Placed(resting, centre + distance * direction, yaw)
-        if free(thing, others):
-            return thing if on_table(thing, half) else None
+    for distance in np.arange(min_distance, 0.6, 0.01):
+        placed = PlacedObject(rest, center + distance * direction, yaw)
+        if is_collision_free(placed, others):
+            return placed if on_table(placed) else None
     return None
 
 
-def _support_margin(vertices: np.ndarray, centre_of_mass: np.ndarray, T: np.ndarray) -> float:
-    """How far inside the polygon it stands on a thing's weight acts, metres."""
-    points = transform(T, vertices)
-    feet = points[points[:, 2] < points[:, 2].min() + 0.0005, :2].astype(np.float32)
-    weight = transform(T, centre_of_mass)[:2]
-    return cv2.pointPolygonTest(cv2.convexHull(feet), weight.tolist(), True)
-
-
-def _rest(vertices: np.ndarray, T: np.ndarray) -> Resting:
+def _stable_pose(vertices: np.ndarray, T: np.ndarray) -> StablePose:
     points = transform(T, vertices)
     outline = cv2.convexHull(points[:, :2].astype(np.float32))[:, 0].astype(np.float64)
-    centre = (outline.min(axis=0) + outline.max(axis=0)) / 2
+    center = (outline.min(axis=0) + outline.max(axis=0)) / 2
     low, high = points[:, 2].min(), points[:, 2].max()
     T = T.copy()
-    T[:3, 3] -= (*centre, low)
-    outline -= centre
-    if np.sum(np.cross(*_pairs(outline))) < 0:
-        outline = outline[::-1]
+    T[:3, 3] -= (*center, low)
+    outline -= center
     radius = float(np.linalg.norm(outline, axis=1).max())
-    return Resting(T, np.ascontiguousarray(outline), radius, float(high - low))
-
-
-def _pairs(polygon: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each corner and the next, with a zero third coordinate."""
-    solid = np.pad(polygon, ((0, 0), (0, 1)))
-    return solid, np.roll(solid, -1, axis=0)
+    return StablePose(T, outline, radius, float(high - low))
 
 
 def _turn(angle: float) -> np.ndarray:

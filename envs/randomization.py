@@ -1,4 +1,4 @@
-"""Domain randomisation: how much of a scene's look changes from episode to episode."""
+"""Domain randomization: how much of a scene's look changes from episode to episode."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .camera import sphere_direction
 from .sensor import SensorConfig
 from .textures import PATTERNS, PRINTED, procedural_texture
+from .validation import require_range, require_within
 from .world import (
     FLOOR_TEXTURE,
     LIGHTS,
@@ -27,33 +29,34 @@ class Randomization:
     """What changes between episodes, and by how much.
 
     Attributes:
-        lights: fewest and most lamps, 1 to 3.
-        lamps_move: whether lamps stand elsewhere in every episode.
-        lamp_elevation: lowest and highest direction of a lamp seen from the table, radians.
-        lamp_power: dimmest and brightest sum of all lamps, as a fraction of white paper's white.
-        ambient: least and most light from everywhere, as the same fraction.
-        colour_temperature: how strongly lamps turn yellow or blue, 0 to 1.
-        shadow_probability: how often the first lamp casts shadows.
-        textures: whether table, walls, floor and plain shapes get new textures and colours.
+        lights: fewest and most lights, 1 to 3.
+        randomize_light_position: whether lights stand elsewhere in every episode.
+        light_elevation: lowest and highest direction of a light seen from the table, radians.
+        light_intensity: smallest and largest intensity of all lights together; at 1 they alone make
+            a white surface white.
+        ambient: smallest and largest intensity of the light from everywhere, on the same scale.
+        color_temperature: how strongly lights turn yellow or blue, 0 to 1.
+        shadow_probability: how often the first light casts shadows.
+        textures: whether table, walls, floor and plain shapes get new textures and colors.
         table_patterns: patterns the table is drawn from; one that is named twice is twice as
             frequent.
         room_patterns: the same for walls, floor and plain shapes.
         texture_repeat: fewest and most repeats of the table's texture along its long side.
         material_jitter: largest change of specularity and shininess, added.
         brightness_jitter: largest change of an object's brightness, as a fraction.
-        hue_jitter: largest change of an object's single colour channels, as a fraction.
+        hue_jitter: largest change of an object's single color channels, as a fraction.
         camera_roll: largest roll of the reference camera, radians.
         look_at_noise: how far the reference camera's axis may pass the target, as the tangent of
             the angle.
-        sensor: what the camera's sensor does to pictures.
+        sensor: what the camera's sensor does to images.
     """
 
     lights: tuple[int, int] = (1, 3)
-    lamps_move: bool = True
-    lamp_elevation: tuple[float, float] = (np.deg2rad(42.0), np.deg2rad(85.0))
-    lamp_power: tuple[float, float] = (0.4, 0.75)
+    randomize_light_position: bool = True
+    light_elevation: tuple[float, float] = (np.deg2rad(42.0), np.deg2rad(85.0))
+    light_intensity: tuple[float, float] = (0.4, 0.75)
     ambient: tuple[float, float] = (0.28, 0.45)
-    colour_temperature: float = 0.12
+    color_temperature: float = 0.12
     shadow_probability: float = 0.7
     textures: bool = True
     table_patterns: tuple[str, ...] = PATTERNS
@@ -67,14 +70,10 @@ class Randomization:
     sensor: SensorConfig = field(default_factory=SensorConfig)
 
     def __post_init__(self) -> None:
-        if not 1 <= self.lights[0] <= self.lights[1] <= LIGHTS:
-            raise ValueError(f"lights must rise within 1 to {LIGHTS}, got {self.lights}")
-        for name in ("lamp_elevation", "lamp_power", "ambient", "texture_repeat"):
-            low, high = getattr(self, name)
-            if not 0 <= low <= high:
-                raise ValueError(f"{name} must be (lowest, highest), got {(low, high)}")
-        if not 0 <= self.shadow_probability <= 1:
-            raise ValueError(f"shadow_probability is {self.shadow_probability}, not in 0 to 1")
+        require_range(self, 1, LIGHTS, "lights")
+        names = ("light_elevation", "light_intensity", "ambient", "texture_repeat")
+        require_range(self, 0, np.inf, *names)
+        require_within(self, 0, 1, "shadow_probability")
         for name in ("table_patterns", "room_patterns"):
             patterns, known = getattr(self, name), PATTERNS + PRINTED
             for pattern in patterns:
@@ -86,12 +85,12 @@ class Randomization:
     @classmethod
     def busy(cls) -> Randomization:
         """What photographs of real desks ask for: posters, magazines and calibration boards lie
-        around, the light is anything, colours of objects are not those of their models, the camera
-        is held askew and its pictures are noisy."""
+        around, the light is anything, colors of objects are not those of their models, the camera
+        is tilted and its images are noisy."""
         return cls(
-            lamp_power=(0.4, 1.0),
+            light_intensity=(0.4, 1.0),
             ambient=(0.28, 0.65),
-            colour_temperature=0.2,
+            color_temperature=0.2,
             table_patterns=PATTERNS + 4 * ("collage",) + 2 * ("markers",),
             room_patterns=PATTERNS + 5 * ("collage",),
             texture_repeat=(0.7, 3.0),
@@ -108,14 +107,14 @@ class Randomization:
 
     @classmethod
     def none(cls) -> Randomization:
-        """One neutral look: two lamps, shadows, a plain table, a level camera, a perfect sensor."""
+        """One neutral look: two lights, shadows, plain table, level camera, perfect sensor."""
         return cls(
             lights=(2, 2),
-            lamps_move=False,
-            lamp_elevation=(np.deg2rad(60.0), np.deg2rad(60.0)),
-            lamp_power=(0.6, 0.6),
+            randomize_light_position=False,
+            light_elevation=(np.deg2rad(60.0), np.deg2rad(60.0)),
+            light_intensity=(0.6, 0.6),
             ambient=(0.35, 0.35),
-            colour_temperature=0.0,
+            color_temperature=0.0,
             shadow_probability=1.0,
             textures=False,
             material_jitter=0.0,
@@ -146,17 +145,17 @@ def apply_randomization(world: World, config: Randomization, rng: np.random.Gene
 
 
 def neutral_look(world: World) -> list[int]:
-    """Lamps and plain colours for room and shapes: the look of :meth:`Randomization.none`.
+    """Lights and plain colors for room and shapes: the look of :meth:`Randomization.none`.
 
     Returns:
         Ids of the textures that changed.
     """
     rng = np.random.default_rng(0)
     apply_randomization(world, Randomization.none(), rng)
-    colours = {"table": (0.72, 0.70, 0.66), "wall": (0.80, 0.81, 0.80), "floor": (0.45, 0.42, 0.40)}
+    colors = {"table": (0.72, 0.70, 0.66), "wall": (0.80, 0.81, 0.80), "floor": (0.45, 0.42, 0.40)}
     changed = []
     for name, size in _ROOM.items():
-        pair = np.array([colours[name], colours[name]]) * ((1.0,), (0.8,))
+        pair = np.array([colors[name], colors[name]]) * ((1.0,), (0.8,))
         image = procedural_texture(rng, size, "noise" if name == "table" else "plain", pair)
         changed.append(set_texture(world, name, image))
     for i in range(SHAPE_TEXTURES):
@@ -187,11 +186,11 @@ def _set_lights(world: World, config: Randomization, rng: np.random.Generator) -
     model = world.model
     count = int(rng.integers(config.lights[0], config.lights[1] + 1))
     ambient = rng.uniform(*config.ambient)
-    power = rng.uniform(*config.lamp_power)
-    spread = float(config.lamps_move)
+    power = rng.uniform(*config.light_intensity)
+    spread = float(config.randomize_light_position)
     shares = (1.0 - 0.5 * spread * rng.uniform(0.0, 1.0, LIGHTS)) * (np.arange(LIGHTS) < count)
     shares *= power / shares.sum()
-    # MuJoCo's shadow map speckles a table that it meets askew; cameras stand anywhere anyway.
+    # MuJoCo's shadow map speckles a table that it meets obliquely; cameras stand anywhere anyway.
     azimuth = np.pi / 2 * rng.integers(4) * spread
     shadows = rng.uniform() < config.shadow_probability
     head = model.vis.headlight
@@ -200,24 +199,18 @@ def _set_lights(world: World, config: Randomization, rng: np.random.Generator) -
     head.diffuse[:] = 0.1
     head.specular[:] = 0.05
     for i in range(LIGHTS):
-        elevation = rng.uniform(*config.lamp_elevation)
+        elevation = rng.uniform(*config.light_elevation)
         angle = azimuth + (i > 0) * (i * 2.1 + spread * rng.uniform(-0.6, 0.6))
         distance = 1.8 + spread * rng.uniform(-0.4, 0.4)
-        direction = np.array(
-            [
-                np.cos(elevation) * np.cos(angle),
-                np.cos(elevation) * np.sin(angle),
-                np.sin(elevation),
-            ]
-        )
-        warmth = config.colour_temperature * rng.uniform(-1.0, 1.0)
-        colour = np.array([1.0 + warmth, 1.0, 1.0 - warmth])
+        direction = sphere_direction(angle, elevation)
+        warmth = config.color_temperature * rng.uniform(-1.0, 1.0)
+        color = np.array([1.0 + warmth, 1.0, 1.0 - warmth])
         model.light_active[i] = i < count
         model.light_pos[i] = distance * direction
         model.light_dir[i] = -direction
         model.light_ambient[i] = 0.0
-        model.light_diffuse[i] = shares[i] * colour
-        model.light_specular[i] = 0.4 * shares[i] * colour
+        model.light_diffuse[i] = shares[i] * color
+        model.light_specular[i] = 0.4 * shares[i] * color
         model.light_castshadow[i] = i == 0 and shadows
 
 
@@ -241,8 +234,8 @@ def _set_textures(world: World, config: Randomization, rng: np.random.Generator)
         patterns = config.table_patterns if name == "table" else config.room_patterns
         pattern = patterns[rng.integers(len(patterns))]
         wooden = rng.uniform() < (0.7 if pattern == "wood" else 0.15)
-        colours = _two_colours(rng, 0.5 if name == "table" else 0.35, wooden)
-        procedural_texture(rng, size, pattern, colours, texture_pixels(world, name))
+        colors = _two_colors(rng, 0.5 if name == "table" else 0.35, wooden)
+        procedural_texture(rng, size, pattern, colors, texture_pixels(world, name))
         changed.append(world.textures[name])
         repeat = rng.uniform(*config.texture_repeat) if name == "table" else 2.0
         model.mat_texrepeat[world.materials[name]] = repeat
@@ -265,8 +258,8 @@ def _shape_materials(world: World) -> list[int]:
     return [world.materials[f"shape{i}"] for i in range(len(world.shape_geoms))]
 
 
-def _two_colours(rng: np.random.Generator, contrast: float, wooden: bool) -> np.ndarray:
-    """Two related colours as rooms have them: wood, grey, seldom saturated; (2, 3) in [0, 1]."""
+def _two_colors(rng: np.random.Generator, contrast: float, wooden: bool) -> np.ndarray:
+    """Two related colors as rooms have them: wood, gray, seldom saturated; (2, 3) in [0, 1]."""
     hue = rng.uniform(0.05, 0.11) if wooden else rng.uniform()
     saturation = rng.uniform(0.25, 0.65) if wooden else rng.beta(0.8, 6.0)
     value = rng.uniform(0.25, 0.88)

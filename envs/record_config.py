@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-Scene = Literal["linemod", "clutter", "occlusion", "heap"]
+from .scene_kinds import SceneKindName
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class RecordBankConfig:
     """The bank, an .npz file."""
     scenes: int = 1000
     """Number of scenes; 24 second views each."""
-    scene: Scene = "occlusion"
+    scene: SceneKindName = "occlusion"
     """Light clutter, heavy clutter, the target between tall things, or in a heap of objects."""
     seed: int = 0
     """Seed of the scenes: scene i is episode i of `evaluate-agent --seed`."""

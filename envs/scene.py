@@ -8,20 +8,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..assets.object_model import ObjectModel
-from ..pose_estimator.geometry import check_rigid
-from .arrangement import Arrangement, Thing
+from ..pose_estimator.geometry import check_rigid, transform
+from .arrangement import Arrangement, Prop, probe_camera
 from .camera import CameraRange
-from .clutter import arrange_clutter
 from .gl import mujoco
 from .graphics import Graphics
-from .heap import arrange_heap
-from .placement import resting_poses
+from .placement import stable_poses
 from .randomization import Randomization, apply_randomization, neutral_look
-from .world import HIDDEN, MOVABLE, SHAPE_KINDS, World, compile_world
-
-KINDS = ("linemod", "clutter", "occlusion", "heap")
-_OBJECT_COUNT = {"linemod": (3, 7), "clutter": (5, 8), "occlusion": (5, 8), "heap": (7, 7)}
-_SHAPE_COUNT = {"linemod": (0, 4), "clutter": (2, 5), "occlusion": (4, 7), "heap": (0, 2)}
+from .scene_kinds import SCENE_KINDS
+from .validation import require_range, require_within
+from .world import SHAPE_KINDS, GeomGroup, World, compile_world
 
 
 @dataclass(frozen=True)
@@ -29,11 +25,7 @@ class SceneConfig:
     """What stands on the table.
 
     Attributes:
-        kind: "linemod" (light clutter, the target nearly always in full view), "clutter" (dense;
-            the target's visibility is distributed as in LM-O), "occlusion" (the target stands
-            between tall things and close neighbours; its visibility from the reference camera is
-            distributed so too, but from many other sides it is hidden) or "heap" (eight objects
-            close together, all upright; the visibility of all is distributed so).
+        kind: a name of :data:`~.scene_kinds.SCENE_KINDS`, where all are described.
         clutter_objects: fewest and most other objects; None takes the kind's own.
         plain_shapes: fewest and most boxes, cylinders and spheres; None takes the kind's own.
         upright_probability: how often the target stands upright.
@@ -50,27 +42,23 @@ class SceneConfig:
     camera: CameraRange = field(default_factory=CameraRange)
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ValueError(f"scene kind must be one of {KINDS}, got {self.kind!r}")
-        for name in ("clutter_objects", "plain_shapes"):
-            count = getattr(self, name)
-            if count is not None and not 0 <= count[0] <= count[1]:
-                raise ValueError(f"{name} must be (fewest, most), got {count}")
-        if self.plain_shapes is not None and self.plain_shapes[1] > len(SHAPE_KINDS):
-            raise ValueError(f"plain_shapes must be at most {len(SHAPE_KINDS)}")
-        for name in ("upright_probability", "clutter_upright_probability"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} must be 0 to 1, got {getattr(self, name)}")
+        if self.kind not in SCENE_KINDS:
+            raise ValueError(f"scene kind must be one of {tuple(SCENE_KINDS)}, got {self.kind!r}")
+        if self.clutter_objects is not None:
+            require_range(self, 0, np.inf, "clutter_objects")
+        if self.plain_shapes is not None:
+            require_range(self, 0, len(SHAPE_KINDS), "plain_shapes")
+        require_within(self, 0, 1, "upright_probability", "clutter_upright_probability")
 
     @property
     def object_count(self) -> tuple[int, int]:
         """Fewest and most other objects."""
-        return self.clutter_objects or _OBJECT_COUNT[self.kind]
+        return self.clutter_objects or SCENE_KINDS[self.kind].object_count
 
     @property
     def shape_count(self) -> tuple[int, int]:
         """Fewest and most plain shapes."""
-        return self.plain_shapes or _SHAPE_COUNT[self.kind]
+        return self.plain_shapes or SCENE_KINDS[self.kind].shape_count
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,13 +78,39 @@ class SceneState:
     visibility: float
 
 
+@dataclass(frozen=True, eq=False)
+class ArrangementRequest:
+    """What a function that arranges scenes is given.
+
+    It returns the arrangement, T_cam_world (4, 4) of the reference camera, and the visible fraction
+    of the target in it.
+
+    Attributes:
+        scene: shows arrangements and measures visibility.
+        rng: decides everything.
+        target: name of the target, which is part of every arrangement.
+        cameras: where the reference camera may stand.
+        T_cam_world: the reference camera if it is given, (4, 4).
+    """
+
+    scene: Scene
+    rng: np.random.Generator
+    target: str
+    cameras: CameraRange
+    T_cam_world: np.ndarray | None
+
+
 class Scene:
-    """Objects on a table. Compiled once; every reset only moves, recolours and relights.
+    """Objects on a table. Compiled once; every reset only moves, recolors and relights.
 
     Args:
         objects: the objects by name; any of them can be the target.
         config: what stands on the table.
         randomization: how the look changes between resets.
+
+    Attributes:
+        arrangement: what stands on the table now.
+        stable_poses: the ways in which each object rests on the table, upright first.
 
     Raises:
         ValueError: if there are no objects, or one was stored without its mesh.
@@ -122,12 +136,11 @@ class Scene:
         self.world: World = compile_world(self.objects)
         self.data = mujoco.MjData(self.world.model)
         self.texture_versions = np.zeros(self.world.model.ntex, dtype=np.int64)
-        self.graphics = Graphics(self)
+        self.graphics = Graphics(self.world, self.data, self.texture_versions)
         self.state: SceneState | None = None
-        self._resting = {name: resting_poses(model) for name, model in self.objects.items()}
-        self._geoms = dict(zip(self.world.object_names, self.world.object_geoms, strict=True))
-        self._touch(neutral_look(self.world))
-        self._show(Arrangement({}, {}))
+        self.stable_poses = {name: stable_poses(model) for name, model in self.objects.items()}
+        self.texture_versions[neutral_look(self.world)] += 1
+        self.show(Arrangement({}, {}))
 
     @property
     def object_names(self) -> tuple[str, ...]:
@@ -136,7 +149,7 @@ class Scene:
 
     @property
     def shadows(self) -> bool:
-        """Whether a lamp that is lit casts shadows."""
+        """Whether a light that is on casts shadows."""
         model = self.world.model
         return bool(np.any(model.light_castshadow & model.light_active))
 
@@ -158,71 +171,87 @@ class Scene:
         if T_cam_world is not None:
             T_cam_world = check_rigid(T_cam_world, "T_cam_world")
         look = np.random.default_rng(rng.integers(2**63))
-        self._touch(apply_randomization(self.world, self.randomization, look))
-        camera = replace(
+        changed = apply_randomization(self.world, self.randomization, look)
+        self.texture_versions[changed] += 1
+        cameras = replace(
             self.config.camera,
             roll=self.randomization.camera_roll,
             look_at_noise=self.randomization.look_at_noise,
         )
-        arrange = arrange_heap if self.config.kind == "heap" else arrange_clutter
-        arrangement, T_cam_world, visibility = arrange(
-            self, rng, target, self._resting, camera, T_cam_world
-        )
-        poses = {n: thing.placed.T_world_obj for n, thing in arrangement.objects.items()}
+        arrange = SCENE_KINDS[self.config.kind].load_arranger()
+        request = ArrangementRequest(self, rng, target, cameras, T_cam_world)
+        arrangement, T_cam_world, visibility = arrange(request)
+        self.show(arrangement)
+        poses = {name: prop.placed.T_world_obj for name, prop in arrangement.objects.items()}
         self.state = SceneState(target, poses, T_cam_world, visibility)
         return self.state
 
     def present_objects(self) -> tuple[tuple[str, ...], np.ndarray]:
         """Names of the objects that stand on the table, and their geoms."""
         names = tuple(self.state.T_world_obj) if self.state is not None else ()
-        return names, np.array([self._geoms[name] for name in names], dtype=np.int64)
+        return names, np.array([self.world.geom(name) for name in names], dtype=np.int64)
 
-    def visibility(self, target: str, T_cam_world: np.ndarray, K: np.ndarray, size: int) -> float:
-        """Visible fraction of an object in a square picture of ``size`` pixels."""
-        geom = self._geoms[target]
-        alone = self.graphics.silhouette(geom, T_cam_world, K, size, size)
-        whole = np.count_nonzero(alone)
-        if whole == 0:
-            return 0.0
-        rect = self.graphics.draw(T_cam_world, K, size, size, segment=True, groups=(MOVABLE,))
-        return np.count_nonzero(self.graphics.geoms(rect) == geom) / whole
+    def surface(self, names: Sequence[str]) -> np.ndarray:
+        """The vertices of objects on the table, one after another, (N, 3) metres, world."""
+        poses = [self.arrangement.objects[name].placed.T_world_obj for name in names]
+        models = [self.objects[name] for name in names]
+        return np.concatenate(
+            [transform(T, model.vertices) for T, model in zip(poses, models, strict=True)]
+        )
 
-    def visibilities(
-        self, names: Sequence[str], T_cam_world: np.ndarray, K: np.ndarray, size: int
+    def visibility(
+        self, names: Sequence[str], T_cam_world: np.ndarray, K: np.ndarray, height: int, width: int
     ) -> np.ndarray:
-        """Visible fractions of several objects in one square picture of ``size`` pixels, (N,)."""
-        rect = self.graphics.draw(T_cam_world, K, size, size, segment=True, groups=(MOVABLE,))
+        """Visible fractions of objects within an image, (N,).
+
+        Each is the number of its visible pixels over those of its silhouette with nothing before
+        it, or 0 where that has none.
+
+        Args:
+            names: of the N objects.
+            T_cam_world: world to OpenCV camera, (4, 4).
+            K: camera matrix, (3, 3).
+            height: of the image, pixels.
+            width: of the image, pixels.
+        """
+        rect = self.graphics.draw(
+            T_cam_world, K, height, width, segment=True, groups=(GeomGroup.MOVABLE,)
+        )
         seen = self.graphics.geoms(rect)
         fractions = []
-        for name in names:
-            geom = self._geoms[name]
-            alone = self.graphics.silhouette(geom, T_cam_world, K, size, size)
-            whole = int(np.count_nonzero(alone))
-            fractions.append(np.count_nonzero(seen == geom) / whole if whole else 0.0)
+        for geom in (self.world.geom(name) for name in names):
+            alone = self.graphics.silhouette(geom, T_cam_world, K, height, width)
+            visible, whole = int(np.count_nonzero(seen == geom)), int(np.count_nonzero(alone))
+            fractions.append(visible / max(1, whole))
         return np.array(fractions)
+
+    def probe_visibility(
+        self, names: Sequence[str], T_cam_world: np.ndarray, size: int = 96
+    ) -> np.ndarray:
+        """Visible fractions of objects in LineMOD's camera, measured in a small crop, (N,).
+
+        Args:
+            names: of the N objects.
+            T_cam_world: world to OpenCV camera, (4, 4).
+            size: side of the square crop that holds them, pixels.
+        """
+        K = probe_camera(transform(T_cam_world, self.surface(names)), size)
+        if K is None:
+            return np.zeros(len(names))
+        return self.visibility(names, T_cam_world, K, size, size)
 
     def show(self, arrangement: Arrangement) -> None:
         """Moves the bodies to an arrangement and hides those that are not part of it."""
-        self._show(arrangement)
-
-    def close(self) -> None:
-        """Frees the GL context. The scene stays usable; the next picture opens another."""
-        self.graphics.close()
-
-    def _touch(self, textures: list[int]) -> None:
-        self.texture_versions[textures] += 1
-
-    def _show(self, arrangement: Arrangement) -> None:
         self.arrangement = arrangement
         model, data = self.world.model, self.data
-        things: dict[int, Thing] = {
-            int(self._geoms[name]): thing for name, thing in arrangement.objects.items()
+        props: dict[int, Prop] = {
+            self.world.geom(name): prop for name, prop in arrangement.objects.items()
         }
-        for i, thing in arrangement.shapes.items():
-            things[int(self.world.shape_geoms[i])] = thing
+        for i, prop in arrangement.shapes.items():
+            props[int(self.world.shape_geoms[i])] = prop
         for k, (geom, address) in enumerate(self.world.qpos.items()):
-            present = things.get(geom)
-            model.geom_group[geom] = HIDDEN if present is None else MOVABLE
+            present = props.get(geom)
+            model.geom_group[geom] = GeomGroup.HIDDEN if present is None else GeomGroup.MOVABLE
             model.geom_contype[geom] = model.geom_conaffinity[geom] = present is not None
             if present is None:
                 data.qpos[address : address + 3] = (0.5 * k, 0.0, -3.0)  # parked
@@ -237,6 +266,10 @@ class Scene:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)
+
+    def close(self) -> None:
+        """Frees the GL context. The scene stays usable; the next image opens another."""
+        self.graphics.close()
 
 
 def _resize(model: mujoco.MjModel, geom: int, size: np.ndarray) -> None:

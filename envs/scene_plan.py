@@ -1,6 +1,6 @@
-"""What each scene of a generated dataset is: its kind, its target, its pictures and their pairs.
+"""What each scene of a generated dataset is: its kind, its target, its images and their pairs.
 
-A scene's pictures are views spread over the sphere around its target, the first of them the
+A scene's images are views spread over the sphere around its target, the first of them the
 reference view, or those of a stereo rig that goes round it, or frames of a hand-held camera's
 sequence, several of which are reference views.
 """
@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .scene_kinds import SCENE_MIXTURES
 from .stereo import rig_pairs
 
 if TYPE_CHECKING:
     from ..assets.object_model import ObjectModel
     from .generate_config import GenerateConfig
-
-TURNS = {"mixed": ("linemod", "clutter"), "all": ("linemod", "clutter", "heap")}
-"""Kinds of scenes that stand for several, which take turns."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +26,12 @@ class ScenePlan:
     """One scene, before anything is drawn.
 
     Attributes:
-        kind: one of :data:`~.scene.KINDS`.
-        target: name of the object to be found; of a heap, all objects are.
+        kind: a name of :data:`~.scene_kinds.SCENE_KINDS`.
+        target: name of the object to be found; of some kinds of scenes, all objects are.
         length: frames of the sequence; None where views are spread over the sphere.
-        frames: numbers of the frames that become pictures, ascending.
+        frames: numbers of the frames that become images, ascending.
         pairs: reference view and second view, by number.
-        stereo: whether the pictures are a rig's, left and right by turns.
+        stereo: whether the images are a rig's, left and right alternating.
     """
 
     kind: str
@@ -69,7 +67,7 @@ def plan_scene(config: GenerateConfig, scene_id: int, names: Sequence[str]) -> S
     """What scene ``scene_id`` is; ``names`` are those of the dataset's objects."""
     targets = target_names(config, names)
     target = targets[scene_id % len(targets)]
-    kinds = TURNS.get(config.scene, (config.scene,))
+    kinds = SCENE_MIXTURES.get(config.scene, (config.scene,))
     turn = scene_id // len(targets)
     kind = kinds[turn % len(kinds)]
     if config.sampling == "stereo":

@@ -96,7 +96,7 @@ class SceneWriter:
             if sensor is None:
                 rgb = apply_sensor(frame.rgb, randomization.sensor, rng)
             else:
-                rgb = sensor.shaken(randomization.sensor, rng).take(frame.rgb, rng)
+                rgb = sensor.resample_blur(randomization.sensor, rng).apply(frame.rgb, rng)
             yield BopFrame(
                 rgb=rgb,
                 K=self._K,

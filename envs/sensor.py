@@ -1,4 +1,4 @@
-"""What a real camera does to a picture: exposure, white balance, blur, noise, compression."""
+"""What a real camera does to an image: exposure, white balance, blur, noise, compression."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ import cv2
 import numpy as np
 
 from ..pose_estimator.geometry import check_image
+from .validation import require_range, require_within
 
 _NOISE_STRIP = 1 << 15
 
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """How strongly a picture may be degraded; every strength is drawn anew for each picture.
+    """How strongly an image may be degraded; every strength is drawn for each image.
 
     Attributes:
         exposure: largest change of brightness, as a fraction.
         white_balance: largest change of the red and of the blue channel, as a fraction.
         gamma: largest change of the exponent, as a fraction.
         blur: largest standard deviation of the Gaussian blur, pixels.
-        noise: largest standard deviation of the noise, grey levels.
-        jpeg_probability: how often the picture is compressed.
+        noise: largest standard deviation of the noise, gray levels.
+        jpeg_probability: how often the image is compressed.
         jpeg_quality: lowest and highest JPEG quality, 1 to 100.
     """
 
@@ -35,31 +36,25 @@ class SensorConfig:
     jpeg_quality: tuple[int, int] = (55, 95)
 
     def __post_init__(self) -> None:
-        for name in ("exposure", "white_balance", "gamma", "blur", "noise", "jpeg_probability"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} must be at least 0, got {getattr(self, name)}")
-        for name in ("exposure", "white_balance", "gamma"):
-            if getattr(self, name) >= 1:
-                raise ValueError(f"{name} is a fraction below 1, got {getattr(self, name)}")
-        low, high = self.jpeg_quality
-        if not 1 <= low <= high <= 100:
-            raise ValueError(f"jpeg_quality must rise within 1 to 100, got {self.jpeg_quality}")
+        require_within(self, 0, 1, "exposure", "white_balance", "gamma", "jpeg_probability")
+        require_within(self, 0, np.inf, "blur", "noise")
+        require_range(self, 1, 100, "jpeg_quality")
 
     @classmethod
     def none(cls) -> SensorConfig:
-        """A perfect sensor: pictures pass unchanged."""
+        """A perfect sensor: images pass unchanged."""
         return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class SensorState:
-    """What one camera does to the pictures that it takes.
+    """What one camera does to the images that it takes.
 
     Attributes:
-        white: grey level that white becomes in each channel, (3,).
+        white: gray level that white becomes in each channel, (3,).
         gamma: exponent of the tone curve.
         blur: standard deviation of the Gaussian blur, pixels.
-        noise: standard deviation of the noise, grey levels.
+        noise: standard deviation of the noise, gray levels.
         jpeg_quality: 1 to 100, or None for no compression.
     """
 
@@ -81,15 +76,15 @@ class SensorState:
         compressed = rng.uniform() < config.jpeg_probability
         return cls(255.0 * gain * balance, gamma, blur, noise, quality if compressed else None)
 
-    def shaken(self, config: SensorConfig, rng: np.random.Generator) -> SensorState:
-        """The same camera, as sharp as it happens to be in another picture."""
+    def resample_blur(self, config: SensorConfig, rng: np.random.Generator) -> SensorState:
+        """The same camera with the blur of another image."""
         return replace(self, blur=config.blur * rng.uniform())
 
-    def take(self, rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Degrades a picture (H, W, 3) uint8 as the camera would; returns a new one.
+    def apply(self, rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Degrades an image (H, W, 3) uint8 as the camera would; returns a new one.
 
         Raises:
-            ValueError: if the picture is not uint8 RGB.
+            ValueError: if the image is not uint8 RGB.
         """
         image = check_image(rgb, "rgb")
         levels = np.linspace(0.0, 1.0, 256)[:, None] ** self.gamma * self.white
@@ -108,7 +103,7 @@ class SensorState:
 
 
 def apply_sensor(rgb: np.ndarray, config: SensorConfig, rng: np.random.Generator) -> np.ndarray:
-    """Degrades a picture as a camera would that is drawn for it alone.
+    """Degrades an image as a camera would whose settings are drawn for it alone.
 
     Args:
         rgb: (H, W, 3) uint8.
@@ -116,12 +111,12 @@ def apply_sensor(rgb: np.ndarray, config: SensorConfig, rng: np.random.Generator
         rng: where the strengths and the noise come from.
 
     Returns:
-        A new picture, (H, W, 3) uint8.
+        A new image, (H, W, 3) uint8.
 
     Raises:
-        ValueError: if the picture is not uint8 RGB.
+        ValueError: if the image is not uint8 RGB.
     """
-    return SensorState.draw(config, rng).take(rgb, rng)
+    return SensorState.draw(config, rng).apply(rgb, rng)
 
 
 def _add_noise(image: np.ndarray, sigma: float, rng: np.random.Generator) -> np.ndarray:

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..pose_estimator.geometry import invert
-from .arrangement import target_visibility
-from .camera import CameraRange
+from .camera import CameraRange, camera_centre
 from .hand_held import hand_held_path
-from .heap import heap_middle
 from .scene import Scene
+from .scene_kinds import SCENE_KINDS
 
 CENTRE_JITTER = 0.02
-"""Standard deviation in metres of the point that cameras go round, beside the scene's middle."""
+"""Standard deviation in metres of the point that cameras go round, about the scene's middle."""
 
 CLEARANCE = 0.1
-"""Distance in metres that the camera keeps from all things where that is possible."""
-
-LEAST_SEEN = {"linemod": 0.6, "clutter": 0.1, "occlusion": 0.1, "heap": 0.0}
-"""Visible fraction of the target all along the path where that is possible, by kind of scene."""
+"""Distance in metres that the camera keeps from all props where that is possible."""
 
 _TRIES = 6
 _PROBES = 5
@@ -47,19 +42,19 @@ def draw_path(
     state = scene.state
     if state is None:
         raise ValueError("the scene must be reset before a camera can go through it")
-    T_world_obj = state.T_world_obj[state.target]
-    heap = scene.config.kind == "heap"
-    centre = heap_middle(scene.arrangement) if heap else T_world_obj[:3, 3]
-    centre = centre + rng.normal(0.0, CENTRE_JITTER, 3)
-    start = invert(state.T_cam_world)[:3, 3]
-    least = LEAST_SEEN[scene.config.kind]
+    kind = SCENE_KINDS[scene.config.kind]
+    target = state.T_world_obj[state.target][:3, 3]
+    center = scene.arrangement.middle() if kind.all_targets else target
+    center = center + rng.normal(0.0, CENTRE_JITTER, 3)
+    start = camera_centre(state.T_cam_world)
+    least = kind.min_path_visibility
     probes = np.linspace(0, length - 1, min(length, _PROBES)).astype(int)
     best, best_lack = None, np.inf
     for _ in range(_TRIES):
-        path = hand_held_path(rng, start, centre, length, cameras)
-        lack = max(0.0, CLEARANCE - scene.arrangement.clearance(invert(path)[:, :3, 3]))
+        path = hand_held_path(rng, start, center, length, cameras)
+        lack = max(0.0, CLEARANCE - scene.arrangement.clearance(camera_centre(path)))
         if least > 0:
-            seen = [target_visibility(scene, state.target, T_world_obj, path[i]) for i in probes]
+            seen = [scene.probe_visibility([state.target], path[i])[0] for i in probes]
             lack += max(0.0, least - min(seen))
         if lack < best_lack:
             best, best_lack = path, lack

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..pose_estimator.geometry import make_transform
 
-LONGEST_BASELINE = 0.3
+MAX_BASELINE = 0.3
 """Metres: no right camera touches the table then, however low and tilted the left one is."""
 
 
@@ -22,24 +22,19 @@ def check_stereo(views: int, baseline: float) -> None:
 
     Raises:
         ValueError: if the frames do not make pairs, or the baseline is not above 0 and at most
-            ``LONGEST_BASELINE`` metres.
+            ``MAX_BASELINE`` metres.
     """
     if views < 2 or views % 2:
         raise ValueError(f"views must be even with a stereo rig (left and right), got {views}")
-    if not 0 < baseline <= LONGEST_BASELINE:
+    if not 0 < baseline <= MAX_BASELINE:
         raise ValueError(
-            f"stereo_baseline must be above 0 and at most {LONGEST_BASELINE} m, got {baseline}"
+            f"stereo_baseline must be above 0 and at most {MAX_BASELINE} m, got {baseline}"
         )
 
 
-def right_of_left(baseline: float) -> np.ndarray:
-    """T_right_left (4, 4) of a right camera that stands ``baseline`` metres along the left's +x."""
-    return make_transform(np.eye(3), np.array([-baseline, 0.0, 0.0]))
-
-
 def rig_frames(lefts: Iterable[np.ndarray], baseline: float) -> list[np.ndarray]:
-    """T_cam_world (4, 4) of all frames, left and right by turns, from those of the left cameras."""
-    T_right_left = right_of_left(baseline)
+    """T_cam_world (4, 4) of all frames, left and right alternating, from the left cameras'."""
+    T_right_left = make_transform(np.eye(3), np.array([-baseline, 0.0, 0.0]))
     return [T for left in lefts for T in (left, T_right_left @ left)]
 
 

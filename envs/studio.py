@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from ..assets.object_model import ObjectModel
-from .arrangement import target_visibility
 from .intrinsics import scaled_intrinsics
 from .randomization import Randomization
 from .renderer import SceneRenderer
@@ -110,8 +109,7 @@ class SceneSimulator:
         """Visible fraction of the target from a camera (4, 4)."""
         state = self._scene.state
         assert state is not None
-        T_world_obj = state.T_world_obj[state.target]
-        return float(target_visibility(self._scene, state.target, T_world_obj, T_cam_world))
+        return float(self._scene.probe_visibility([state.target], T_cam_world)[0])
 
     def submit(self, method: str, *arguments: Any) -> Callable[[], Any]:
         """Prepares a call of a method; what is returned carries it out and returns its result."""

@@ -18,7 +18,7 @@ PATTERNS = ("plain", "noise", "wood", "checker", "gradient", "speckle")
 """What furniture is made of."""
 
 PRINTED = ("collage", "markers")
-"""What lies on it, in colours of its own: posters and magazines, calibration boards."""
+"""What lies on it, in colors of its own: posters and magazines, calibration boards."""
 
 _STRIPS = 32
 """In which what needs double precision is drawn."""
@@ -28,7 +28,7 @@ def procedural_texture(
     rng: np.random.Generator,
     size: int,
     pattern: str,
-    colours: np.ndarray,
+    colors: np.ndarray,
     out: np.ndarray | None = None,
 ) -> np.ndarray:
     """Draws a texture.
@@ -37,7 +37,7 @@ def procedural_texture(
         rng: where its random parts come from.
         size: side in pixels.
         pattern: one of :data:`PATTERNS` or :data:`PRINTED`.
-        colours: two colours in [0, 1], (2, 3); the pattern goes from one to the other. Printed
+        colors: two colors in [0, 1], (2, 3); the pattern goes from one to the other. Printed
             ones have their own.
         out: where it is drawn, (size, size, 3) uint8; a new array if None.
 
@@ -79,7 +79,7 @@ def procedural_texture(
     else:
         raise ValueError(f"pattern must be one of {PATTERNS + PRINTED}, got {pattern!r}")
     steps = np.linspace(0.0, 1.0, 256)[:, None]
-    low, high = np.asarray(colours)
+    low, high = np.asarray(colors)
     ramp = np.clip(255.0 * (low + (high - low) * steps), 0, 255).astype(np.uint8)
     np.clip(mix, 0.0, 1.0, out=mix)
     levels = cv2.convertScaleAbs(mix, dst=_canvas((size, size), 0, np.uint8), alpha=255.0)

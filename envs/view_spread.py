@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from .camera import CameraRange, look_at
+from .camera import CameraRange, camera_centre, look_at
 
 _TRIES = 60
+_APART = np.deg2rad(12.0)
+"""The angle that new cameras keep between each other where that is possible."""
 
 
 def spread_views(
     rng: np.random.Generator,
     T_cam_world: np.ndarray,
-    centre: np.ndarray,
+    center: np.ndarray,
     count: int,
     angles: tuple[float, float],
     cameras: CameraRange,
-    apart: float = np.deg2rad(12.0),
 ) -> list[np.ndarray]:
     """Draws ``count`` cameras around a point that a first camera looks at.
 
@@ -27,11 +28,10 @@ def spread_views(
     Args:
         rng: where they come from.
         T_cam_world: the first camera, (4, 4).
-        centre: the point, (3,) metres, world.
+        center: the point, (3,) metres, world.
         count: how many.
         angles: smallest and largest angle at the point between a new camera and the first, radians.
         cameras: distances, elevations, roll and look-at noise of the new ones; azimuth is free.
-        apart: the angle that new cameras keep between each other where that is possible, radians.
 
     Returns:
         T_cam_world (4, 4) of each.
@@ -39,7 +39,7 @@ def spread_views(
     Raises:
         ValueError: if no direction within ``angles`` has an allowed elevation.
     """
-    first = _direction(-T_cam_world[:3, :3].T @ T_cam_world[:3, 3] - centre)
+    first = _direction(camera_centre(T_cam_world) - center)
     side = _direction(np.cross(first, (0.0, 0.0, 1.0) if abs(first[2]) < 0.99 else (1.0, 0.0, 0.0)))
     up = np.cross(side, first)
     chosen = [first]
@@ -60,29 +60,19 @@ def spread_views(
                 f"the first has an elevation within {np.rad2deg(cameras.elevation)} degrees"
             )
         nearest = np.arccos(np.clip(candidates @ np.transpose(chosen), -1.0, 1.0)).min(axis=1)
-        direction = candidates[np.argmax(np.minimum(nearest, apart))]  # the first that is enough
+        direction = candidates[np.argmax(np.minimum(nearest, _APART))]  # the first that is enough
         chosen.append(direction)
-        poses.append(_aim(rng, centre, direction, cameras))
+        distance = rng.uniform(*cameras.distance)
+        position = center + distance * direction
+        aim = cameras.sample_aim(rng, center, distance, look_at(position, center))
+        poses.append(look_at(position, aim, rng.uniform(-cameras.roll, cameras.roll)))
     return poses
 
 
 def viewing_angle(T_cam_world: np.ndarray, other: np.ndarray, point: np.ndarray) -> float:
     """The angle at ``point`` (3,) between the rays to two cameras, radians."""
-    rays = [_direction(-T[:3, :3].T @ T[:3, 3] - point) for T in (T_cam_world, other)]
+    rays = [_direction(camera_centre(T) - point) for T in (T_cam_world, other)]
     return float(np.arccos(np.clip(rays[0] @ rays[1], -1.0, 1.0)))
-
-
-def _aim(
-    rng: np.random.Generator, centre: np.ndarray, direction: np.ndarray, cameras: CameraRange
-) -> np.ndarray:
-    """A camera in ``direction`` from ``centre`` that looks there carelessly, T_cam_world."""
-    distance = rng.uniform(*cameras.distance)
-    position = centre + distance * direction
-    straight = look_at(position, centre)
-    offset = cameras.look_at_noise * distance * rng.uniform((-1.3, -1.0), (1.3, 1.0))
-    return look_at(
-        position, centre + offset @ straight[:2, :3], rng.uniform(-cameras.roll, cameras.roll)
-    )
 
 
 def _direction(vector: np.ndarray) -> np.ndarray:

@@ -1,14 +1,15 @@
 """The one MuJoCo model of a scene: all objects, plain shapes, a table and a room.
 
-It is compiled once. An episode moves bodies and changes sizes, colours, textures and lights in
+It is compiled once. An episode moves bodies and changes sizes, colors, textures and lights in
 place. Every object and shape is a free body whose collision geometry is its convex hull, so that
-what is placed can be checked by physics; pictures never step it.
+what is placed can be checked by physics; rendering never steps it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 import trimesh
@@ -26,8 +27,15 @@ WALL_HALF = 1.6
 NEAR, FAR = 0.03, 12.0
 """Clipping planes in metres."""
 
-HIDDEN, ROOM, MOVABLE, PROBED = 3, 0, 1, 4
-"""Geom groups: not drawn, the table and the room, what stands on the table, drawn alone."""
+
+class GeomGroup(IntEnum):
+    """MuJoCo's geom groups, by which is chosen what is drawn."""
+
+    ROOM = 0  # the table too
+    MOVABLE = 1  # what stands on the table
+    HIDDEN = 3
+    ISOLATED = 4  # what is drawn alone for its silhouette
+
 
 SHAPE_KINDS = ("box", "box", "box", "box", "cylinder", "cylinder", "cylinder", "sphere", "sphere")
 LIGHTS = 3
@@ -64,6 +72,10 @@ class World:
     shine: dict[str, tuple[float, float]]
     qpos: dict[int, int]
 
+    def geom(self, name: str) -> int:
+        """The geom of an object."""
+        return int(self.object_geoms[self.object_names.index(name)])
+
 
 def compile_world(objects: Mapping[str, ObjectModel]) -> World:
     """Compiles the model of ``objects`` on a table in a room, with plain shapes beside them."""
@@ -71,7 +83,7 @@ def compile_world(objects: Mapping[str, ObjectModel]) -> World:
     spec.compiler.degree = False
     spec.stat.extent, spec.stat.center = 1.0, (0.0, 0.0, 0.0)
     spec.visual.map.znear, spec.visual.map.zfar = NEAR, FAR
-    spec.visual.map.shadowscale = 0.35  # of a lamp's cone: the shadow map covers the clutter
+    spec.visual.map.shadowscale = 0.35  # of a light's cone: the shadow map covers the clutter
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 640, 480
     _add_room(spec)
     for i in range(LIGHTS):
@@ -81,7 +93,8 @@ def compile_world(objects: Mapping[str, ObjectModel]) -> World:
     for name, model in objects.items():
         _add_object(spec, name, model)
     for i in range(SHAPE_TEXTURES):
-        _add_texture(spec, f"shape{i}", SHAPE_TEXTURE, cube=True)
+        texture = _add_texture(spec, f"shape{i}", SHAPE_TEXTURE, 6 * SHAPE_TEXTURE)
+        texture.type = mujoco.mjtTexture.mjTEXTURE_CUBE
     for i, kind in enumerate(SHAPE_KINDS):
         _add_material(spec, f"shape{i}", f"shape{i % SHAPE_TEXTURES}")
         geom = _add_body(spec, f"shape{i}").add_geom(
@@ -120,7 +133,7 @@ def _add_room(spec: mujoco.MjSpec) -> None:
         ("wall", WALL_TEXTURE),
         ("floor", FLOOR_TEXTURE),
     ):
-        _add_texture(spec, name, size)
+        _add_texture(spec, name, size, size)
         _add_material(spec, name, name)
     table = spec.worldbody.add_geom(
         name="table",
@@ -128,7 +141,7 @@ def _add_room(spec: mujoco.MjSpec) -> None:
         size=TABLE_HALF,
         pos=(0.0, 0.0, -TABLE_HALF[2]),
         material="table",
-        group=ROOM,
+        group=GeomGroup.ROOM,
     )
     _make_collidable(table)
     # Flat boxes rather than planes: MuJoCo draws a plane in both directions and in many tiles.
@@ -136,17 +149,17 @@ def _add_room(spec: mujoco.MjSpec) -> None:
     _add_sheet(spec, "floor", (r, r), np.array([0.0, 0.0, FLOOR_Z]), np.eye(3))
     for i in range(4):
         cos, sin = np.cos(i * np.pi / 2), np.sin(i * np.pi / 2)
-        centre = np.array([r * cos, r * sin, FLOOR_Z + WALL_HALF])
+        center = np.array([r * cos, r * sin, FLOOR_Z + WALL_HALF])
         # Columns: along the wall, up, into the room.
         axes = np.array([[sin, 0.0, -cos], [-cos, 0.0, -sin], [0.0, 1.0, 0.0]])
-        _add_sheet(spec, f"wall{i}", (r, WALL_HALF), centre, axes)
+        _add_sheet(spec, f"wall{i}", (r, WALL_HALF), center, axes)
 
 
 def _add_sheet(
     spec: mujoco.MjSpec,
     name: str,
     half: tuple[float, float],
-    centre: np.ndarray,
+    center: np.ndarray,
     axes: np.ndarray,
 ) -> None:
     """A part of the room that nothing collides with; the third of its axes looks inwards."""
@@ -157,10 +170,10 @@ def _add_sheet(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=(*half, thickness),
-        pos=centre - thickness * axes[:, 2],
+        pos=center - thickness * axes[:, 2],
         quat=quat,
         material=name.rstrip("0123"),
-        group=ROOM,
+        group=GeomGroup.ROOM,
         contype=0,
         conaffinity=0,
     )
@@ -169,19 +182,11 @@ def _add_sheet(
 def _add_object(spec: mujoco.MjSpec, name: str, model: ObjectModel) -> None:
     key = f"object:{name}"
     height, width = model.texture.shape[:2]
-    texture = spec.add_texture(
-        name=key,
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        colorspace=mujoco.mjtColorSpace.mjCOLORSPACE_LINEAR,
-        width=width,
-        height=height,
-        nchannel=3,
-    )
-    texture.data = model.texture.tobytes()
+    _add_texture(spec, key, width, height, model.texture.tobytes())
     material = _add_material(spec, key, key)
     material.specular, material.shininess = model.specular, model.shininess
     faces, vertex, normals = corner_shading(model.vertices, model.faces)
-    # A closed mesh knows its centre of mass; an open one borrows that of its hull.
+    # A closed mesh knows its center of mass; an open one borrows that of its hull.
     closed = trimesh.Trimesh(model.vertices, model.faces).is_volume
     inertia = mujoco.mjtMeshInertia
     mesh = spec.add_mesh(
@@ -190,7 +195,7 @@ def _add_object(spec: mujoco.MjSpec, name: str, model: ObjectModel) -> None:
     mesh.uservert = model.vertices[vertex].ravel().tolist()
     mesh.userface = faces.ravel().tolist()
     mesh.usernormal = normals.ravel().tolist()
-    # MuJoCo's v runs down the picture, as its rows do.
+    # MuJoCo's v runs down the image, as its rows do.
     mesh.usertexcoord = (model.uv[vertex] * (1, -1) + (0, 1)).ravel().tolist()
     geom = _add_body(spec, key).add_geom(
         name=key, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=key, material=key
@@ -238,18 +243,20 @@ def corner_shading(
     return split.reshape(faces.shape), faces.ravel()[first], normals[first]
 
 
-def _add_texture(spec: mujoco.MjSpec, name: str, size: int, cube: bool = False) -> None:
-    kind = mujoco.mjtTexture.mjTEXTURE_CUBE if cube else mujoco.mjtTexture.mjTEXTURE_2D
-    height = 6 * size if cube else size
+def _add_texture(
+    spec: mujoco.MjSpec, name: str, width: int, height: int, data: bytes | None = None
+) -> mujoco.MjsTexture:
+    """Adds a flat texture, gray unless there is data."""
     texture = spec.add_texture(
         name=name,
-        type=kind,
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
         colorspace=mujoco.mjtColorSpace.mjCOLORSPACE_LINEAR,
-        width=size,
+        width=width,
         height=height,
         nchannel=3,
     )
-    texture.data = bytes([128]) * (3 * size * height)
+    texture.data = data or bytes([128]) * (3 * width * height)
+    return texture
 
 
 def _add_material(spec: mujoco.MjSpec, name: str, texture: str) -> mujoco.MjsMaterial:

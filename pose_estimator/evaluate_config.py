@@ -32,8 +32,8 @@ class EvaluateConfig:
     """Where the estimator looks first. The others are for analyses that leave the detector out:
     `truth` gives it the ground-truth ROI, `noisy` that of the true center plus noise of 4 cm in
     depth and 1.2 cm sideways (standard deviations, drawn for each image)."""
-    scene: Literal["linemod", "clutter", "occlusion", "heap"] = "linemod"
-    """Kind of our scenes."""
+    scene: str = "linemod"
+    """Kind of our scenes: `linemod`, `clutter`, `occlusion` or `heap`, as with `generate`."""
     scenes: int = 520
     """How many scenes; each of the objects is the target equally often."""
     objects: tuple[str, ...] = ()

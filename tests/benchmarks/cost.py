@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from two_view_pose import assets
-from two_view_pose.envs.arrangement import Arrangement, Thing
+from two_view_pose.envs.arrangement import Arrangement, Prop
 from two_view_pose.envs.camera import view_sphere_pose
-from two_view_pose.envs.placement import Placed, resting_poses
+from two_view_pose.envs.placement import PlacedObject
 from two_view_pose.envs.renderer import SceneRenderer
 from two_view_pose.envs.scene import Scene
 from two_view_pose.pose_estimator.inference import Inference
@@ -82,7 +82,7 @@ def show(scene: Scene, count: int) -> None:
     scene.show(
         Arrangement(
             {
-                name: Thing(Placed(resting_poses(scene.objects[name])[0], np.array(xy), 0.0))
+                name: Prop(PlacedObject(scene.stable_poses[name][0], np.array(xy), 0.0))
                 for name, xy in zip(names, places, strict=False)
             },
             {},

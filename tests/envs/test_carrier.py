@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from estimators import pose
 from scipy.spatial.transform import Rotation
-from two_view_pose.envs.carrier import FreeFlyingCarrier, PoseNoise, camera_centre
+from two_view_pose.envs.camera import camera_centre
+from two_view_pose.envs.carrier import FreeFlyingCarrier, PoseNoise
 
 
 def looking_from(centre: tuple[float, float, float]) -> np.ndarray:
@@ -47,7 +48,17 @@ def test_no_noise_is_none():
     np.testing.assert_array_equal(PoseNoise().perturb(T, np.random.default_rng(0)), T)
 
 
-@pytest.mark.parametrize("noise", [(1.0,), (1.0, 2.0, 3.0), "much", (-1.0, 0.0), (0.0, np.nan)])
-def test_bad_noise(noise):
-    with pytest.raises(ValueError, match="pose_noise"):
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [
+        ((1.0,), "pose_noise must be"),
+        ((1.0, 2.0, 3.0), "pose_noise must be"),
+        ("much", "pose_noise must be"),
+        ((-1.0, 0.0), "pose_noise.rotation_deg must be >= 0, got -1.0"),
+        ((0.0, np.nan), "pose_noise.translation must be >= 0, got nan"),
+        ((0.0, "1 cm"), "pose_noise.translation must be >= 0, got '1 cm'"),
+    ],
+)
+def test_bad_noise(noise, message):
+    with pytest.raises(ValueError, match=message):
         PoseNoise.of(noise)

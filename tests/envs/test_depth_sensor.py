@@ -154,8 +154,8 @@ def test_nguyens_formula_at_points_of_the_paper():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"axial": -1.0}, "axial must be at least 0"),
-        ({"edge_loss": 1.5}, "edge_loss must be a share"),
+        ({"axial": -1.0}, "axial must be >= 0"),
+        ({"edge_loss": 1.5}, "edge_loss must be 0 to 1"),
         ({"grazing": 120.0}, "grazing must be above 0"),
         ({"nearest": 6.0}, "farthest must be above nearest"),
         ({"baseline": 0.0}, "disparity_step needs a baseline"),

@@ -35,7 +35,7 @@ def test_doctor_says_what_networks_run_on(monkeypatch):
 
 def test_doctor_times_estimates():
     check = doctor.check_estimator("single")
-    assert check.works
+    assert check.passed
     objects, milliseconds = re.fullmatch(
         r"(\d+) objects, (\d+) ms a pair, median of 5", check.text
     ).groups()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from two_view_pose.envs.camera import CameraRange
-from two_view_pose.envs.hand_held import LOWEST, HandConfig, hand_held_path, slow_drift
+from two_view_pose.envs.hand_held import LOWEST, hand_held_path, slow_drift
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, invert, project, transform
 
 CAMERAS = CameraRange(roll=np.deg2rad(12.0), look_at_noise=0.15)
@@ -108,7 +108,7 @@ def test_a_narrow_range_is_kept_all_the_same(degrees: float) -> None:
 
 
 def test_slow_drift_is_slow_and_fills_its_range() -> None:
-    drift = slow_drift(np.random.default_rng(0), np.arange(0, 600, 0.5), (20.0, 80.0), (50,))
+    drift = slow_drift(np.random.default_rng(0), np.arange(0, 600, 0.5), (50,))
     assert drift.shape == (50, 1200) and np.abs(drift).max() <= 1
     assert drift.max() > 0.9 and drift.min() < -0.9
     power = np.abs(np.fft.rfft(drift * np.hanning(1200), axis=1)) ** 2
@@ -124,17 +124,3 @@ def test_one_frame_is_a_path_and_none_is_not() -> None:
     )
     with pytest.raises(ValueError, match="at least one frame, got 0"):
         hand_held_path(np.random.default_rng(0), np.ones(3), np.zeros(3), 0, CAMERAS)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"step": (0.02, 0.0201)}, "step must be"),
-        ({"step": (0.0, 0.03)}, "lengths must be positive"),
-        ({"slope": 1.0}, "slope must be"),
-        ({"period": (1.0, 5.0)}, "period must rise"),
-    ],
-)
-def test_impossible_hands_are_refused(change, message) -> None:
-    with pytest.raises(ValueError, match=message):
-        HandConfig(**change)

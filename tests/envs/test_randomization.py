@@ -111,8 +111,8 @@ def test_only_changed_textures_are_named(world: World) -> None:
     assert none == []
 
 
-def test_lamps_keep_to_the_configuration(world: World) -> None:
-    config = Randomization(lights=(2, 2), shadow_probability=0.0, lamp_power=(0.5, 0.6))
+def test_lights_keep_to_the_configuration(world: World) -> None:
+    config = Randomization(lights=(2, 2), shadow_probability=0.0, light_intensity=(0.5, 0.6))
     model = world.model
     for seed in range(10):
         apply_randomization(world, config, np.random.default_rng(seed))
@@ -122,7 +122,7 @@ def test_lamps_keep_to_the_configuration(world: World) -> None:
         lit = model.light_active.astype(bool)
         directions = model.light_pos / np.linalg.norm(model.light_pos, axis=1, keepdims=True)
         elevation = np.arcsin(directions[lit, 2])
-        assert (elevation >= config.lamp_elevation[0] - 1e-6).all()
+        assert (elevation >= config.light_elevation[0] - 1e-6).all()
         np.testing.assert_allclose(model.light_dir[lit], -directions[lit], atol=1e-6)
 
 
@@ -153,7 +153,7 @@ def test_none_looks_the_same_for_every_seed(objects: dict[str, ObjectModel]) -> 
     [
         ("lights", (0, 2)),
         ("lights", (1, 9)),
-        ("lamp_power", (0.8, 0.2)),
+        ("light_intensity", (0.8, 0.2)),
         ("shadow_probability", 1.2),
         ("table_patterns", ("tartan",)),
         ("table_patterns", ()),

@@ -4,23 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import gc
-import multiprocessing
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 
 import cv2
 import numpy as np
 import pytest
 import trimesh
-import workers
 from two_view_pose.assets.object_model import ObjectModel
-from two_view_pose.envs import gl
-from two_view_pose.envs.arrangement import Arrangement, Thing
+from two_view_pose.envs import graphics
+from two_view_pose.envs.arrangement import Arrangement, Prop
 from two_view_pose.envs.camera import look_at, view_sphere_pose
-from two_view_pose.envs.graphics import Graphics
-from two_view_pose.envs.placement import Placed, resting_poses
+from two_view_pose.envs.placement import PlacedObject
 from two_view_pose.envs.randomization import Randomization
 from two_view_pose.envs.renderer import SceneRenderer
 from two_view_pose.envs.scene import Scene, SceneConfig, SceneState
@@ -43,12 +37,12 @@ def scene(objects: dict[str, ObjectModel]) -> Iterator[Scene]:
 
 def stand(scene: Scene, **places: tuple[float, float, float]) -> dict[str, np.ndarray]:
     """Stands objects upright at (x, y, yaw) and shows them; their poses."""
-    things = {
-        name: Thing(Placed(resting_poses(scene.objects[name])[0], np.array([x, y]), yaw))
+    props = {
+        name: Prop(PlacedObject(scene.stable_poses[name][0], np.array([x, y]), yaw))
         for name, (x, y, yaw) in places.items()
     }
-    scene.show(Arrangement(things, {}))
-    poses = {name: thing.placed.T_world_obj for name, thing in things.items()}
+    scene.show(Arrangement(props, {}))
+    poses = {name: prop.placed.T_world_obj for name, prop in props.items()}
     scene.state = SceneState(next(iter(places)), poses, np.eye(4), 1.0)
     return poses
 
@@ -156,7 +150,7 @@ def test_instances_are_numbered_as_they_are_named(scene: Scene) -> None:
         u, v = cv_project(poses[name][None, :3, 3], T, LINEMOD_K)[0].round().astype(int)
         assert frame.instances[v, u] == index
     assert set(np.unique(frame.instances)) == {-1, 0, 1, 2}
-    assert frame.depth is None and frame.visibility is None
+    assert frame.depth is None
 
 
 def test_visibility_of_a_half_hidden_box_is_what_geometry_says(scene: Scene) -> None:
@@ -172,19 +166,17 @@ def test_visibility_of_a_half_hidden_box_is_what_geometry_says(scene: Scene) -> 
     edge = left / (y_brick + np.copysign(brick[1] / 2, left) - eye[1])
     right = (x_brick + brick[0] / 2) / (y_brick - brick[1] / 2 - eye[1])
     hidden = (min(right, half) - max(edge, -half)) / (2 * half)
-    frame = SceneRenderer(scene).render(T, visibility=True)
+    visibility = scene.visibility(["slab", "brick"], T, LINEMOD_K, 480, 640)
     assert 0.3 < hidden < 0.7
-    assert frame.visibility["slab"] == pytest.approx(1 - hidden, abs=0.02)
-    assert frame.visibility["brick"] == 1.0
+    assert visibility[0] == pytest.approx(1 - hidden, abs=0.02)
+    assert visibility[1] == 1.0
 
 
 def test_what_is_out_of_the_picture_has_no_visibility(scene: Scene) -> None:
     poses = stand(scene, ball=(0.0, 0.0, 0.0), post=(0.5, 0.0, 0.0))
     T = look_at(np.array([0.0, -0.5, 0.4]), poses["ball"][:3, 3])
-    frame = SceneRenderer(scene, 200, 200).render(
-        T, np.array([[600.0, 0, 99.5], [0, 600.0, 99.5], [0, 0, 1]]), visibility=True
-    )
-    assert frame.visibility == {"ball": 1.0, "post": 0.0}
+    K = np.array([[600.0, 0, 99.5], [0, 600.0, 99.5], [0, 0, 1]])
+    assert scene.visibility(["ball", "post"], T, K, 200, 200).tolist() == [1.0, 0.0]
 
 
 def test_textures_are_the_right_way_round() -> None:
@@ -214,11 +206,15 @@ def test_textures_are_the_right_way_round() -> None:
         assert seen[name], (name, rgb[v, u])
 
 
-def test_the_quick_picture_looks_like_mujocos_default_quality(scene: Scene) -> None:
+def test_the_quick_image_looks_like_mujocos_default_quality(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     stand(scene, brick=(0.0, 0.0, 0.3), post=(0.1, 0.1, 0.0), cone=(-0.1, 0.1, 0.0))
     T = view_sphere_pose(np.zeros(3), 0.8, 0.2, 0.8)
     quick = SceneRenderer(scene).render(T).rgb.astype(int)
-    slow = Graphics(scene, samples=4, shadow_map=4096)
+    monkeypatch.setattr(graphics, "SAMPLES", 4)
+    monkeypatch.setattr(graphics, "SHADOW_MAP_SIZE", 4096)
+    slow = graphics.Graphics(scene.world, scene.data, scene.texture_versions)
     reference, _ = slow.read(slow.draw(T, LINEMOD_K, 480, 640))
     slow.close()
     difference = np.abs(quick - reference).max(axis=2)
@@ -272,54 +268,6 @@ def test_wrong_input_is_refused(scene: Scene) -> None:
     for size in (0, 5000, 12.5):
         with pytest.raises(ValueError, match="height"):
             SceneRenderer(scene, size, 32)
-
-
-def test_a_spawned_worker_draws_the_same_picture() -> None:
-    context = multiprocessing.get_context("spawn")
-    queue = context.Queue()
-    worker = context.Process(target=workers.render_duck, args=(queue,))
-    worker.start()
-    theirs = queue.get(timeout=60)
-    worker.join()
-    here: multiprocessing.Queue = multiprocessing.get_context("spawn").Queue()
-    workers.render_duck(here)
-    np.testing.assert_array_equal(here.get(timeout=10), theirs)
-
-
-def test_without_opengl_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(name: str) -> object:
-        raise ImportError(f"no library for {name}")
-
-    monkeypatch.setattr(gl, "_backend", None)
-    monkeypatch.setattr(gl, "_process", None)
-    monkeypatch.setattr(gl, "_forget_platform", lambda: None)
-    monkeypatch.setattr(gl.importlib, "import_module", broken)
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    with pytest.raises(gl.GraphicsUnavailable, match=r"apt-get install .*egl: .*osmesa: "):
-        gl.open_context(64, 64)
-    monkeypatch.setenv("MUJOCO_GL", "off")
-    with pytest.raises(gl.GraphicsUnavailable, match="MUJOCO_GL"):
-        gl.open_context(64, 64)
-    monkeypatch.setattr(gl, "_process", -1)
-    with pytest.raises(gl.GraphicsUnavailable, match="forked"):
-        gl.open_context(64, 64)
-
-
-def test_a_named_back_end_that_is_missing_is_named_in_the_error() -> None:
-    program = (
-        "import sys\n"
-        "class Missing:\n"
-        "    def find_spec(self, name, *_):\n"
-        "        if name == 'mujoco.osmesa': raise AttributeError('no library')\n"
-        "sys.meta_path.insert(0, Missing())\n"
-        "import two_view_pose.envs.scene\n"
-    )
-    environment = {**os.environ, "MUJOCO_GL": "osmesa"}
-    run = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True
-    )
-    assert "GraphicsUnavailable" in run.stderr
-    assert "apt-get install -y libosmesa6" in run.stderr
 
 
 def test_large_silhouettes_are_whole_and_do_not_enlarge_the_buffer(scene: Scene) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import trimesh
 from two_view_pose.assets.object_model import ObjectModel
-from two_view_pose.envs.arrangement import target_visibility
 from two_view_pose.envs.camera import CameraRange, view_sphere_pose
 from two_view_pose.envs.randomization import Randomization
 from two_view_pose.envs.renderer import SceneRenderer
@@ -139,14 +138,13 @@ def test_occlusion_is_spread_as_in_lmo(dense: Scene) -> None:
     assert min(resets) < 0.35
 
 
-def test_the_stated_visibility_is_that_of_the_full_picture(dense: Scene) -> None:
+def test_the_stated_visibility_is_that_of_the_full_image(dense: Scene) -> None:
     renderer = SceneRenderer(dense)
     for seed in range(4):
         state = dense.reset(np.random.default_rng(seed), "brick")
-        frame = renderer.render(state.T_cam_world, visibility=True)
-        assert frame.visibility is not None
-        assert frame.visibility["brick"] == pytest.approx(state.visibility, abs=0.03)
-        assert frame.object_names == tuple(state.T_world_obj)
+        (visible,) = dense.visibility(["brick"], state.T_cam_world, LINEMOD_K, 480, 640)
+        assert visible == pytest.approx(state.visibility, abs=0.03)
+        assert renderer.render(state.T_cam_world).object_names == tuple(state.T_world_obj)
 
 
 def test_a_given_camera_is_kept(scene: Scene, dense: Scene) -> None:
@@ -231,7 +229,7 @@ def test_tall_things_hide_the_target_of_an_occlusion_scene_from_many_sides(
             T_world_obj = state.T_world_obj["brick"]
             for azimuth in np.arange(0, 2 * np.pi, np.pi / 3):
                 T = view_sphere_pose(T_world_obj[:3, 3], 1.0, azimuth, np.deg2rad(45))
-                fractions.append(target_visibility(scene, "brick", T_world_obj, T))
+                fractions.append(scene.probe_visibility(["brick"], T)[0])
         seen[kind] = np.array(fractions)
         scene.close()
     assert seen["occlusion"].mean() < seen["clutter"].mean() - 0.1

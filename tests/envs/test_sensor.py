@@ -93,11 +93,13 @@ def test_one_camera_keeps_its_exposure_and_is_not_always_as_sharp() -> None:
     config = SensorConfig(noise=0.0, jpeg_probability=0.0)
     rng = np.random.default_rng(7)
     camera = SensorState.draw(config, rng)
-    flat = [camera.shaken(config, rng).take(GREY, rng) for _ in range(5)]
+    flat = [camera.resample_blur(config, rng).apply(GREY, rng) for _ in range(5)]
     assert all((picture == flat[0]).all() for picture in flat)
     edge = np.zeros((40, 40, 3), dtype=np.uint8)
     edge[:, 20:] = 200
-    sharpness = [int(camera.shaken(config, rng).take(edge, rng)[20, 19, 1]) for _ in range(20)]
+    sharpness = [
+        int(camera.resample_blur(config, rng).apply(edge, rng)[20, 19, 1]) for _ in range(20)
+    ]
     assert len(set(sharpness)) > 5
-    other = SensorState.draw(config, rng).take(GREY, rng)
+    other = SensorState.draw(config, rng).apply(GREY, rng)
     assert (other != flat[0]).any()
