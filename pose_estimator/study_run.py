@@ -6,8 +6,9 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
-from . import load, study_fingerprint
+from . import study_fingerprint
 from .bop_pairs import PAIRS_FILE
+from .loading import load
 from .networks import PoseNetworks
 from .results import commit
 from .study import Estimator, StudySet, run_unit
