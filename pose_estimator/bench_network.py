@@ -18,7 +18,7 @@ from .features import FeatureConfig
 from .fused import fused
 from .processor import number_format
 from .stopwatch import WARM_UP, Record, seconds
-from .volume import PRESETS, Volume, VolumeNet, as_convolved
+from .volume import PRESETS, Volume, VolumeNet, to_conv_layout
 
 GOAL = 0.5
 """Of the matrix product's operations in a second."""
@@ -141,7 +141,7 @@ def volume_run(preset: str, side: int, batch: int) -> Callable[[], Tensor]:
     plain.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
     first = next(m for m in plain.coarse.trunk if isinstance(m, nn.Conv3d))
     with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
-        x = as_convolved(torch.randn(batch, first.in_channels, side, side, side))
+        x = to_conv_layout(torch.randn(batch, first.in_channels, side, side, side))
     network: Any = fused(plain, torch.bfloat16 if bfloat16 else torch.float32)
 
     def run() -> Tensor:
