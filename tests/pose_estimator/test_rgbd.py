@@ -107,8 +107,7 @@ def depth(boxes) -> np.ndarray:
 
 @pytest.fixture
 def estimator(networks: PoseNetworks) -> RgbdEstimator:
-    networks = copy.copy(networks)
-    networks._modules = dict(networks._modules)
+    networks = copy.deepcopy(networks)
     networks.points = FitsCentre(networks.objects)
     estimator = RgbdEstimator(networks)
     estimator.frontend = Votes2D(networks)
