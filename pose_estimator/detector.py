@@ -108,14 +108,9 @@ def detector_input(image: np.ndarray, config: DetectorConfig) -> tuple[np.ndarra
     inner = (max(1, round(width / scale)), max(1, round(height / scale)))
     small = cv2.resize(image, inner, interpolation=cv2.INTER_AREA)
     if inner != (config.width, config.height):
+        below, right = config.height - inner[1], config.width - inner[0]
         small = cv2.copyMakeBorder(
-            small,
-            0,
-            config.height - inner[1],
-            0,
-            config.width - inner[0],
-            cv2.BORDER_CONSTANT,
-            value=(127, 127, 127),
+            small, 0, below, 0, right, cv2.BORDER_CONSTANT, value=(127, 127, 127)
         )
     sx, sy = width / inner[0], height / inner[1]
     to_image = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1.0]])

@@ -123,17 +123,9 @@ class Inference:
             volume = features.volume.float()
             mean, covariance, score = (as_array(part) for part in vote(features))
             mask = torch.sigmoid(features.mask_logits.float()).cpu().numpy()
-            found = iter(
-                EncodedCrop(
-                    volume[n],
-                    features.decoder[n],
-                    tuple(level[n] for level in pyramid),
-                    mean[n],
-                    covariance[n],
-                    score[n],
-                    mask[n],
-                )
-                for n in range(len(objects))
+            levels = zip(*pyramid, strict=True)
+            found = map(
+                EncodedCrop, volume, features.decoder, levels, mean, covariance, score, mask
             )
             return [list(islice(found, len(own))) for own, _ in crops]
 

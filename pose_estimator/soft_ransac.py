@@ -68,7 +68,7 @@ class SoftRansacResult:
 def soft_ransac(
     model_points: torch.Tensor,
     predicted: torch.Tensor,
-    config: SoftRansacConfig | None = None,
+    config: SoftRansacConfig = SoftRansacConfig(),
     weights: torch.Tensor | None = None,
 ) -> SoftRansacResult:
     """Averages all three-point poses, each by its soft inlier count.
@@ -79,13 +79,12 @@ def soft_ransac(
     Args:
         model_points: keypoints in the object's frame, (K, 3) or (B, K, 3), metres.
         predicted: the same keypoints in the camera's frame, (B, K, 3), metres.
-        config: scoring; the paper's if None.
+        config: scoring; the paper's by default.
         weights: how much each keypoint counts in the scores, (B, K), not negative; 1 if None.
 
     Raises:
         ValueError: if shapes do not match, or all keypoints of a model lie on one line.
     """
-    config = SoftRansacConfig() if config is None else config
     model_points, predicted = check_points(model_points, predicted)
     with torch.autocast(predicted.device.type, enabled=False):
         hypotheses = three_point_fits(model_points, predicted)

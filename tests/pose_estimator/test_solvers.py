@@ -190,7 +190,7 @@ def test_one_object_in_arrays(solver):
 
 def test_estimating_first_does_not_spoil_training():
     model, truth, _ = scene(9)
-    # What is known of this model and of ten keypoints is worked out in inference mode.
+    # Ten keypoints: no other test has left anything in the caches.
     model, truth = (np.concatenate([a, a[..., :1, :] + 0.05], -2) for a in (model, truth))
     with torch.inference_mode():
         run(model, truth, "soft")
