@@ -20,15 +20,15 @@ from .solvers import solve_pose
 from .symmetry import keypoint_permutations
 from .triangulation import triangulate
 
-_LARGEST_ERROR = 8.0
+_OUTLIER_ERROR = 8.0
 """Reprojection error in grid pixels from which a keypoint counts as plainly wrong."""
 
-_FARTHEST_OFF = 1.5
+_MAX_DEPTH_RATIO = 1.5
 """Factor between the depths of a fused pose and of the one before it from which the fused one is
 not believed."""
 
 
-def agree(
+def resolve_symmetry_ambiguity(
     encoded: Sequence[EncodedView], model: ObjectModel
 ) -> tuple[list[EncodedView], np.ndarray]:
     """Renumbers the votes of the further views to the pose that the reference view means.
@@ -58,7 +58,7 @@ def agree(
             for K, camera, mean in zip(Ks, cameras, means, strict=True):
                 seen = transform(camera @ T_ref_world, candidate)
                 error = np.linalg.norm(project(seen, K) - mean, axis=1)
-                residual += float(np.minimum(error, _LARGEST_ERROR).sum())
+                residual += float(np.minimum(error, _OUTLIER_ERROR).sum())
             if residual < best:
                 best, chosen, points = residual, permutation, candidate
         agreed.append(
@@ -81,17 +81,17 @@ def joint_pose(
     would not do: with a baseline of a few centimetres it is decimetres off.
 
     Args:
-        encoded: the views, of one mind (see :func:`agree`).
+        encoded: the views, consistently labeled (see :func:`resolve_symmetry_ambiguity`).
         points: triangulated keypoints (9, 3).
         model: the object.
         first: the best pose so far, which is also the answer where no pose explains the votes.
     """
     starts = [first.T_cam_obj, solve_pose(model.keypoints, points, model.diameter)]
-    T = explain(encoded, model, starts)
-    return T if believable(T, first, model) else first.T_cam_obj
+    T = fit_multi_view_pose(encoded, model, starts)
+    return T if depth_is_consistent(T, first, model) else first.T_cam_obj
 
 
-def believable(T_cam_obj: np.ndarray, first: PoseEstimate, model: ObjectModel) -> bool:
+def depth_is_consistent(T_cam_obj: np.ndarray, first: PoseEstimate, model: ObjectModel) -> bool:
     """Whether a fused pose has the object at a depth like that of the best pose before it.
 
     Views that show different things, as where the detector was wrong in one of them, can be
@@ -99,10 +99,10 @@ def believable(T_cam_obj: np.ndarray, first: PoseEstimate, model: ObjectModel) -
     """
     depth = float(transform(T_cam_obj, model.keypoints[-1])[2])
     before = float(transform(first.T_cam_obj, model.keypoints[-1])[2])
-    return bool(before / _FARTHEST_OFF < depth < before * _FARTHEST_OFF)
+    return bool(before / _MAX_DEPTH_RATIO < depth < before * _MAX_DEPTH_RATIO)
 
 
-def explain(
+def fit_multi_view_pose(
     encoded: Sequence[EncodedView],
     model: ObjectModel,
     starts: Sequence[np.ndarray],
@@ -111,7 +111,8 @@ def explain(
     """The pose (4, 4) that best explains votes, and points in space if there are any.
 
     Args:
-        encoded: the views, of one mind (see :func:`agree`), the reference first.
+        encoded: the views, the reference first, consistently labeled (see
+            :func:`resolve_symmetry_ambiguity`).
         model: the object.
         starts: poses in the reference camera from which it is sought.
         points: the keypoints as a fusion found them.

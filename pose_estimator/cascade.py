@@ -10,7 +10,7 @@ finer steps and on a finer grid; the last steps are 3.5 mm, as in the paper.
 The features are a pyramid (Lin et al., CVPR 2017) on the frozen encoder that all methods share.
 Unlike Cas-MVSNet's, the U-Net also sees the reference's own features and how far each hypothesis is
 from the middle of its range: where a surface has no texture or the cameras stand close together,
-what the picture shows is all there is.
+what the image shows is all there is.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from .encoder import PYRAMID_CHANNELS
 from .geometry import grid_matrix
 from .plane_sweep import group_correlation, sweep
 
-_NEAREST = 0.1
-"""Least depth in metres that is supposed."""
+_MIN_DEPTH = 0.1
+"""Smallest depth in metres that is supposed."""
 
-_LEAST_HALF_RANGE = 0.15
+_MIN_HALF_RANGE = 0.15
 _HALF_RANGE = 1.0
 """The first range is the larger of so many metres, and so many diameters, to both sides."""
 
@@ -220,9 +220,11 @@ class CascadeNet(nn.Module):
                 half = half_range(level, diameter)
                 steps = torch.linspace(-1, 1, level.planes, device=guess.device)
                 offsets = half[:, None] * steps
-                supposed = (centre[:, None] + offsets[..., None, None]).clamp(min=_NEAREST)
+                supposed = (centre[:, None] + offsets[..., None, None]).clamp(min=_MIN_DEPTH)
                 grid = torch.from_numpy(grid_matrix(level.stride)).to(views.K)
-                cost = compare(maps, grid @ views.K, views.T_view_ref, supposed, self.config.groups)
+                cost = build_cost_volume(
+                    maps, grid @ views.K, views.T_view_ref, supposed, self.config.groups
+                )
                 hypothesis = steps[:, None, None].expand_as(supposed[:, None])
                 cost = torch.cat([cost, hypothesis], 1)
             logits = cost_net(cost, maps[:, 0])
@@ -234,7 +236,7 @@ class CascadeNet(nn.Module):
         return outputs
 
 
-def compare(
+def build_cost_volume(
     features: Tensor, K: Tensor, T_view_ref: Tensor, supposed: Tensor, groups: int
 ) -> Tensor:
     """The cost volume: how alike the views are at supposed depths.
@@ -253,9 +255,11 @@ def compare(
     total = features.new_zeros((), dtype=torch.float32)
     seen = torch.zeros_like(total)
     for view in range(1, features.shape[1]):
-        drawn, inside = sweep(features[:, view], K[:, 0], K[:, view], T_view_ref[:, view], supposed)
-        shown = inside.unsqueeze(1).to(drawn.dtype)
-        total = total + group_correlation(features[:, 0], drawn, groups) * shown
+        warped, inside = sweep(
+            features[:, view], K[:, 0], K[:, view], T_view_ref[:, view], supposed
+        )
+        shown = inside.unsqueeze(1).to(warped.dtype)
+        total = total + group_correlation(features[:, 0], warped, groups) * shown
         seen = seen + shown
     return torch.cat([total / seen.clamp(min=1), seen / (features.shape[1] - 1)], 1)
 
@@ -263,7 +267,7 @@ def compare(
 def half_range(level: CascadeLevel, diameter: Tensor) -> Tensor:
     """Half the range (B,) in metres that a stage searches, for objects of a diameter (B,)."""
     if level.spacing is None:
-        return (diameter * _HALF_RANGE).clamp(min=_LEAST_HALF_RANGE)
+        return (diameter * _HALF_RANGE).clamp(min=_MIN_HALF_RANGE)
     return torch.full_like(diameter, level.spacing * (level.planes - 1) / 2)
 
 

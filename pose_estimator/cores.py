@@ -1,9 +1,21 @@
-"""How many cores there are to compute on."""
+"""The processor's cores, and what Linux says of them."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+
+_CPUINFO = Path("/proc/cpuinfo")
+
+
+def cpuinfo() -> dict[str, str]:
+    """What Linux says of the first core; empty elsewhere."""
+    try:
+        lines = _CPUINFO.read_text().split("\n\n")[0].splitlines()
+    except OSError:
+        return {}
+    pairs = (line.partition(":") for line in lines)
+    return {key.strip(): value.strip() for key, _, value in pairs}
 
 
 def available_cores() -> int:

@@ -1,7 +1,7 @@
 """Where is the object? A light detector for all objects at once in a full frame.
 
 A centre heat map for each object and the size of its region of interest (Zhou et al., "Objects as
-Points", 2019), at stride 8 of a picture scaled to 320x240. The "centre" is the projection of the
+Points", 2019), at stride 8 of a image scaled to 320x240. The "centre" is the projection of the
 object's origin, also where something hides it, so that two detections triangulate to the object.
 """
 
@@ -18,6 +18,12 @@ from torch.nn import functional as F
 from .decoder import ConvBlock
 from .encoder import Encoder
 from .estimate import Roi
+
+_MAX_PEAKS = 10
+"""Detections of one object that are read at most."""
+
+_MIN_PEAK_SCORE = 0.003
+"""Score from which on a peak counts; the best one always does."""
 
 
 @dataclass(frozen=True)
@@ -87,14 +93,14 @@ class Detector(nn.Module):
 
 
 def detector_input(image: np.ndarray, config: DetectorConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Scales a picture into the detector's input, keeping its proportions.
+    """Scales a image into the detector's input, keeping its proportions.
 
     Args:
         image: RGB uint8 (H, W, 3), any size.
         config: the detector's.
 
     Returns:
-        The input picture, uint8 (240, 320, 3), and the affine map (3, 3) from its pixels to pixels
+        The input image, uint8 (240, 320, 3), and the affine map (3, 3) from its pixels to pixels
         of ``image``.
     """
     height, width = image.shape[:2]
@@ -102,14 +108,9 @@ def detector_input(image: np.ndarray, config: DetectorConfig) -> tuple[np.ndarra
     inner = (max(1, round(width / scale)), max(1, round(height / scale)))
     small = cv2.resize(image, inner, interpolation=cv2.INTER_AREA)
     if inner != (config.width, config.height):
+        below, right = config.height - inner[1], config.width - inner[0]
         small = cv2.copyMakeBorder(
-            small,
-            0,
-            config.height - inner[1],
-            0,
-            config.width - inner[0],
-            cv2.BORDER_CONSTANT,
-            value=(127, 127, 127),
+            small, 0, below, 0, right, cv2.BORDER_CONSTANT, value=(127, 127, 127)
         )
     sx, sy = width / inner[0], height / inner[1]
     to_image = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1.0]])
@@ -124,11 +125,11 @@ def decode(
     Args:
         logits: (30, 40) heat map logits of the object.
         regression: (3, 30, 40), see :meth:`Detector.forward`.
-        to_image: (3, 3), from the detector's input to the picture.
+        to_image: (3, 3), from the detector's input to the image.
         config: the detector's.
 
     Returns:
-        The region of interest in the picture. Its score is the heat map's value, in 0 to 1.
+        The region of interest in the image. Its score is the heat map's value, in 0 to 1.
     """
     row, column = (int(i) for i in np.unravel_index(int(np.argmax(logits)), logits.shape))
     return _roi_at(row, column, logits, regression, to_image, config)
@@ -139,29 +140,19 @@ def decode_peaks(
     regression: np.ndarray,
     to_image: np.ndarray,
     config: DetectorConfig,
-    most: int = 10,
-    least_score: float = 0.003,
 ) -> list[Roi]:
-    """Reads several detections of one object, the best first.
-
-    Args:
-        logits: (30, 40) heat map logits of the object.
-        regression: (3, 30, 40), see :meth:`Detector.forward`.
-        to_image: (3, 3), from the detector's input to the picture.
-        config: the detector's.
-        most: how many at most.
-        least_score: heat from which on a peak counts; the best one always does.
+    """Reads several detections of one object; takes what :func:`decode` takes.
 
     Returns:
         The regions at the heat map's peaks, falling in score; the first is that of :func:`decode`.
     """
     around = cv2.dilate(logits, np.ones((5, 5), np.uint8))
     rows, columns = np.nonzero(logits >= around)
-    order = np.argsort(-logits[rows, columns], kind="stable")[:most]
+    order = np.argsort(-logits[rows, columns], kind="stable")[:_MAX_PEAKS]
     found = [
         _roi_at(int(rows[i]), int(columns[i]), logits, regression, to_image, config) for i in order
     ]
-    return [found[0], *(roi for roi in found[1:] if roi.score >= least_score)]
+    return [found[0], *(roi for roi in found[1:] if roi.score >= _MIN_PEAK_SCORE)]
 
 
 def _roi_at(
@@ -185,7 +176,7 @@ def _roi_at(
 def detection_targets(
     centres: np.ndarray, sides: np.ndarray, present: np.ndarray, config: DetectorConfig
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the detector shall answer for one picture.
+    """What the detector shall answer for one image.
 
     Args:
         centres: (N, 2) centre of each object in input pixels.

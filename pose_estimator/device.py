@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING
+
+from .cores import cpuinfo
 
 if TYPE_CHECKING:
     import torch
 
 DEVICES = "auto, cpu, cuda, cuda:N or mps"
 """What :func:`resolve_device` knows, for messages."""
+
+BFLOAT16_FLAGS = frozenset({"avx512_bf16", "amx_bf16"})
+"""Instructions that multiply bfloat16 matrices, as Linux names them."""
 
 
 def resolve_device(device: str | torch.device = "auto") -> torch.device:
@@ -92,13 +97,7 @@ def uses_bfloat16(device: torch.device) -> bool:
 @cache
 def has_fast_bfloat16() -> bool:
     """Whether this processor multiplies bfloat16 matrices in hardware, and oneDNN may use that."""
-    import os
-
     limit = os.environ.get("ONEDNN_MAX_CPU_ISA", os.environ.get("DNNL_MAX_CPU_ISA", "")).upper()
     if limit and "BF16" not in limit and "AMX" not in limit and limit not in ("ALL", "DEFAULT"):
         return False
-    try:
-        flags = Path("/proc/cpuinfo").read_text()
-    except OSError:
-        return False
-    return "avx512_bf16" in flags or "amx_bf16" in flags
+    return not BFLOAT16_FLAGS.isdisjoint(cpuinfo().get("flags", "").split())

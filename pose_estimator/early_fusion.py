@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from ..assets.object_model import ObjectModel
-from .agreement import agree, joint_pose
+from .agreement import joint_pose, resolve_symmetry_ambiguity
 from .cascade import CascadeViews
 from .estimate import PoseEstimate
 from .frontend import EncodedView
@@ -24,7 +24,7 @@ from .geometry import grid_matrix, invert, transform
 from .inference import as_array
 from .two_view import Sighting, TwoViewEstimator
 
-_LEAST_MASK = 0.5
+_MIN_MASK = 0.5
 """Probability of the object from which a pixel's depth is read."""
 
 _PIXEL_DEVIATION = 0.5
@@ -33,7 +33,7 @@ _PIXEL_DEVIATION = 0.5
 _SAME_SURFACE = 0.01
 """Metres from the median within which depths are averaged; others are another surface."""
 
-_LARGEST_DOUBT = 0.03
+_MAX_SURFACE_OFFSET = 0.03
 """Metres that another surface counts as at most: at the object's rim it may be far behind, and no
 keypoint is there."""
 
@@ -62,7 +62,7 @@ class EarlyFusionEstimator(TwoViewEstimator):
         sweeps = []
         for sighting in sightings:
             model = self.networks.objects[sighting.object_name]
-            agreed, points = agree(sighting.encoded, model)
+            agreed, points = resolve_symmetry_ambiguity(sighting.encoded, model)
             joint = joint_pose(agreed, points, model, sighting.first)
             center = transform(joint, model.keypoints[-1])
             sweeps.append((sighting.encoded, float(center[2]), model.diameter))
@@ -161,7 +161,7 @@ def read_depth(
         from the vote.
     """
     height, width = depth.shape
-    inside = cv2.resize(np.asarray(mask, np.float32), (width, height)).ravel() > _LEAST_MASK
+    inside = cv2.resize(np.asarray(mask, np.float32), (width, height)).ravel() > _MIN_MASK
     if not inside.any():
         inside[:] = True
     v, u = np.divmod(np.flatnonzero(inside), width)
@@ -178,7 +178,7 @@ def read_depth(
     median = z[order][middle]
     near = weight * (np.abs(z - median[:, None]) <= _SAME_SURFACE)
     mean = (near * z).sum(1) / near.sum(1)
-    doubt = np.minimum(np.abs(z - mean[:, None]), _LARGEST_DOUBT)
+    doubt = np.minimum(np.abs(z - mean[:, None]), _MAX_SURFACE_OFFSET)
     around = (weight * (spread + doubt**2)).sum(1)
     # A sharp vote is half a pixel from its neighbours anyway.
     beside = np.linalg.norm(np.einsum("kn,kni->ki", weight, offset), axis=1)

@@ -65,7 +65,7 @@ class InvertedResidual(nn.Module):
 
 
 class Encoder(nn.Module):
-    """Multi-scale features of RGB pictures.
+    """Multi-scale features of RGB images.
 
     Args:
         stages: how many of the six stages to keep; 5 ends at stride 16 (112 channels), 6 at
@@ -91,21 +91,21 @@ class Encoder(nn.Module):
             c for c, keep in ((24, 2), (40, 3), (112, 5), (192, 6)) if keep <= stages
         )
 
-    def forward(self, pictures: Tensor) -> list[Tensor]:
-        """Encodes pictures.
+    def forward(self, images: Tensor) -> list[Tensor]:
+        """Encodes images.
 
         Args:
-            pictures: (B, 3, H, W), RGB in 0..255 as floats, H and W multiples of 32.
+            images: (B, 3, H, W), RGB in 0..255 as floats, H and W multiples of 32.
 
         Returns:
             Feature maps at strides 4, 8, 16 (and 32 with six stages), with ``self.channels``
             channels.
         """
-        return self.pyramid(pictures)[1:]
+        return self.pyramid(images)[1:]
 
-    def pyramid(self, pictures: Tensor) -> list[Tensor]:
+    def pyramid(self, images: Tensor) -> list[Tensor]:
         """As :meth:`forward`, with the map at stride 2 before the others (PYRAMID_CHANNELS)."""
-        x = self.stem.relu6((pictures - 127.0) / 128.0)
+        x = self.stem.relu6((images - 127.0) / 128.0)
         outputs = []
         for index, stage in enumerate(self.stages):
             x = stage(x)

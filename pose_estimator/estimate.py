@@ -8,11 +8,11 @@ import numpy as np
 
 from .geometry import project
 
-_LEAST_SHOWN = 0.3
+_MIN_AXIS_SINE = 0.3
 """Sine of the angle between an axis and the line of sight from which on its direction counts."""
 
-_NEAREST = 0.1
-"""Least depth in metres at which a region of interest is placed."""
+_MIN_DEPTH = 0.1
+"""Smallest depth in metres at which a region of interest is placed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,26 +42,26 @@ def roi_of_pose(
         scale: side of the region in diameters.
         score: as the attribute of :class:`Roi`.
     """
-    depth = max(float(T_cam_obj[2, 3]), _NEAREST)
+    depth = max(float(T_cam_obj[2, 3]), _MIN_DEPTH)
     centre = project(np.array([T_cam_obj[0, 3], T_cam_obj[1, 3], depth]), K)
     return Roi(centre=centre, side=scale * diameter * K[0, 0] / depth, score=score)
 
 
-def upright_turn(T_cam_obj: np.ndarray, K: np.ndarray) -> float | None:
-    """How far to turn a picture so that an object's z axis, as it is seen, points up.
+def upright_roll(T_cam_obj: np.ndarray, K: np.ndarray) -> float | None:
+    """How far to turn a image so that an object's z axis, as it is seen, points up.
 
     Args:
         T_cam_obj: (4, 4), metres.
         K: camera matrix, (3, 3).
 
     Returns:
-        Radians as :func:`turn_matrix` takes them, -pi to pi; None where the axis points so much
-        towards the camera or away that it has no direction in the picture.
+        Radians as :func:`rotation_matrix_2d` takes them, -pi to pi; None where the axis points so
+        much towards the camera or away that it has no direction in the image.
     """
     centre, axis = T_cam_obj[:3, 3], T_cam_obj[:3, 2]
     # The derivative of the projection at the centre, along the axis.
-    seen = K[:2, :2] @ (axis[:2] - axis[2] * centre[:2] / max(centre[2], _NEAREST))
-    if np.hypot(*seen) < _LEAST_SHOWN * K[0, 0]:
+    seen = K[:2, :2] @ (axis[:2] - axis[2] * centre[:2] / max(centre[2], _MIN_DEPTH))
+    if np.hypot(*seen) < _MIN_AXIS_SINE * K[0, 0]:
         return None
     turn = -np.pi / 2 - np.arctan2(seen[1], seen[0])
     return float((turn + np.pi) % (2 * np.pi) - np.pi)

@@ -147,7 +147,7 @@ def estimate_files(config: EstimateConfig) -> None:
     check_device(config.device)
     views = read_views(config)
     # After the inputs are known to be good: this imports torch.
-    from . import load
+    from .loading import load
     from .overlay import ESTIMATE_COLOUR, draw_poses
 
     estimator = load(config.method, config.weights, device=config.device)
@@ -166,14 +166,14 @@ def estimate_files(config: EstimateConfig) -> None:
     print(f"pose: {config.out}")
     if config.overlay is not None:
         model = estimator.networks.objects[config.object]
-        pictures = [
+        images = [
             draw_poses(
                 view.image, model, {ESTIMATE_COLOUR: view.T_cam_world @ answer.T_cam_obj}, view.K
             )
             for view in views
         ]
         config.overlay.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.hstack(pictures)).save(config.overlay)
+        Image.fromarray(np.hstack(images)).save(config.overlay)
         print(f"overlay: {config.overlay}")
     if config.json is not None:
         tags = {"object": config.object, "method": config.method}

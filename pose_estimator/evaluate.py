@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]) -> list[dict]:
     """Evaluates on a BOP dataset at ``root``, prints and writes what came out."""
-    from . import load
+    from .loading import load
     from .results import write_results
 
     estimator = load(

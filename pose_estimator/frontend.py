@@ -7,71 +7,56 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from torch import Tensor
 
 from .detector import decode, decode_peaks, detector_input
 from .estimate import Roi
-from .geometry import View, crop_matrix, grid_matrix, turn_matrix
+from .geometry import View, crop_matrix, grid_matrix, rotation_matrix_2d
 from .image_crop import warp_crop
 from .inference import EncodedCrop, Inference
-from .joint_detection import choose_together, sizes_together
+from .joint_detection import associate_detections, refine_roi_scales
 from .networks import PoseNetworks
-from .recently_used import RecentlyUsed
+from .recently_used import LruCache
 
-_CACHED_VIEWS = 4
+_MIN_CACHED_VIEWS = 4
 """Views that are remembered at least."""
 
-_TURNS = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5)
-"""Turns in radians of the crops that are tried where the upright one is not sure."""
+_ROLLS = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5)
+"""Rotations in radians of the crops that are tried where the upright one is not confident."""
 
-_SURE = 0.85
-"""Share of votes that agree from which on an upright crop is believed."""
+_CONFIDENT_SCORE = 0.85
+"""Share of agreeing votes from which on an upright crop is taken as it is."""
 
-_SURER = 0.03
-"""How much surer a turned crop must be to be taken instead."""
+_MIN_SCORE_GAIN = 0.03
+"""How much higher the score of a rotated crop must be to be taken instead."""
 
-_SAME_SIZE = 0.08
-"""Logarithm of the ratio of two regions' sides up to which another crop is not worth its time."""
+_LOG_SCALE_TOLERANCE = 0.08
+"""Logarithm of the ratio of two regions' sides up to which no new crop is made."""
 
-_MERGE_FLOOR = 0.3
+_MIN_MERGED_VARIANCE = 0.3
 """Variance in grid pixels that several crops' votes are given at least when they are averaged."""
 
 
-@dataclass(frozen=True, eq=False)
-class EncodedView:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EncodedView(EncodedCrop):
     """One view of one object after the 2D part.
 
     Attributes:
-        view: the picture and its camera.
+        view: the image and its camera.
         roi: where the object was found.
         K_grid: (3, 3) camera whose pixels are those of the feature grid.
-        to_image: (3, 3) affine map from the feature grid to pixels of the picture.
-        volume: (C, G, G) features for the volume.
-        vote_mean: (9, 2) voted keypoints, pixels of the feature grid.
-        vote_covariance: (9, 2, 2).
-        vote_score: (9,) share of the object's pixels that agree, 0 to 1.
-        mask: (G, G) probability of the visible object.
-        decoder: (W, G, G) the last map of the 2D network.
-        maps: the encoder's maps of the crop, (C, S, S) at strides 2 to 32.
-        turn: of the crop in the plane of the picture, radians.
+        to_image: (3, 3) affine map from the feature grid to pixels of the image.
+        roll: rotation of the crop in the image plane, radians.
     """
 
     view: View
     roi: Roi
     K_grid: np.ndarray
     to_image: np.ndarray
-    volume: Tensor
-    vote_mean: np.ndarray
-    vote_covariance: np.ndarray
-    vote_score: np.ndarray
-    mask: np.ndarray
-    decoder: Tensor | None = None
-    maps: tuple[Tensor, ...] = ()
-    turn: float = 0.0
+    roll: float = 0.0
 
     @property
     def pixels(self) -> np.ndarray:
-        """Voted keypoints in pixels of the picture, (9, 2)."""
+        """Voted keypoints in pixels of the image, (9, 2)."""
         return self.vote_mean @ self.to_image[:2, :2].T + self.to_image[:2, 2]
 
     @property
@@ -119,15 +104,16 @@ class Frontend:
 
     def __init__(self, networks: PoseNetworks, inference: Inference | None = None) -> None:
         self.networks = networks
-        self.encoded: RecentlyUsed[EncodedView] = RecentlyUsed(_CACHED_VIEWS)
-        self.detected: RecentlyUsed[DetectorMaps] = RecentlyUsed(_CACHED_VIEWS)
+        self.encoded: LruCache[EncodedView] = LruCache(_MIN_CACHED_VIEWS)
+        self.detected: LruCache[DetectorMaps] = LruCache(_MIN_CACHED_VIEWS)
         self._inference = Inference(networks) if inference is None else inference
 
     def encode(self, targets: Sequence[Target]) -> list[EncodedView]:
         """Finds objects in views and votes for their keypoints.
 
-        The network knows objects as cameras see them that are held about level. Where its votes do
-        not agree, the crop is turned, and the turn with the surest votes is taken.
+        The network is trained on cameras that are held about level. Where its votes do not agree,
+        the crop is rotated, and the rotation with the highest score is taken (test-time
+        augmentation).
         """
         self._remember(len(targets))
         found: list[EncodedView | None] = [
@@ -144,7 +130,7 @@ class Frontend:
         located = [
             t if t.roi is not None else t._replace(roi=self._best(next(maps), t.obj)) for t in first
         ]
-        upright = self._surest_turns(located)
+        upright = self._best_rolls(located)
         for numbers, encoded in zip(missing.values(), upright, strict=True):
             for number in numbers:
                 found[number] = encoded
@@ -182,21 +168,21 @@ class Frontend:
             self.detected.put(view, None, found)
         return [maps for view in views if (maps := known[id(view)]) is not None]
 
-    def encode_turned(
-        self, targets: Sequence[Target], turns: Sequence[Sequence[float]]
+    def encode_rotated(
+        self, targets: Sequence[Target], rolls: Sequence[Sequence[float]]
     ) -> list[list[EncodedView]]:
         """Votes in several crops of each region.
 
         Args:
             targets: with their regions.
-            turns: of each target: how far its crops are turned in the image plane, radians.
+            rolls: of each target: how far its crops are rotated in the image plane, radians.
         """
         config = self.networks.features.config
         matrices = []
-        for target, own in zip(targets, turns, strict=True):
+        for target, own in zip(targets, rolls, strict=True):
             assert target.roi is not None
             upright = crop_matrix(target.roi.centre, target.roi.side, config.crop)
-            matrices.append([turn_matrix(turn, config.crop) @ upright for turn in own])
+            matrices.append([rotation_matrix_2d(roll, config.crop) @ upright for roll in own])
         crops = [
             (np.stack([warp_crop(t.view.image, A, config.crop) for A in to_crops]), t.obj)
             for t, to_crops in zip(targets, matrices, strict=True)
@@ -204,13 +190,13 @@ class Frontend:
         found = self._inference.encode(crops)
         return [
             [self._encoded_view(target, *crop) for crop in zip(own, to_crops, encoded, strict=True)]
-            for target, own, to_crops, encoded in zip(targets, turns, matrices, found, strict=True)
+            for target, own, to_crops, encoded in zip(targets, rolls, matrices, found, strict=True)
         ]
 
     def _remember(self, views: int) -> None:
         """Makes room for what one call asks for."""
         for cache in (self.encoded, self.detected):
-            cache.most = max(cache.most, 2 * views)
+            cache.maxsize = max(cache.maxsize, 2 * views)
 
     def _best(self, maps: DetectorMaps, index: int) -> Roi:
         """The region of an object in one frame."""
@@ -227,59 +213,53 @@ class Frontend:
             decode_peaks(m.logits[index], m.regression[index], m.to_image, config) for m in maps
         ]
         scale = self.networks.features.config.roi_scale
-        chosen = choose_together(candidates, views, model.diameter, scale)
+        chosen = associate_detections(candidates, views, model.diameter, scale)
         found = [regions[number] for regions, number in zip(candidates, chosen, strict=True)]
-        sized = sizes_together(found, views, model.diameter, scale)
+        sized = refine_roi_scales(found, views, model.diameter, scale)
         return [
-            None if number == 0 and abs(np.log(new.side / old.side)) < _SAME_SIZE else new
+            None if number == 0 and abs(np.log(new.side / old.side)) < _LOG_SCALE_TOLERANCE else new
             for number, old, new in zip(chosen, found, sized, strict=True)
         ]
 
-    def _surest_turns(self, targets: Sequence[Target]) -> list[EncodedView]:
-        """Encodes regions upright, and turned where that makes the votes agree more."""
-        encoded = [only for [only] in self.encode_turned(targets, [(0.0,)] * len(targets))]
-        unsure = [n for n, e in enumerate(encoded) if e.vote_score.mean() < _SURE]
-        tried = self.encode_turned([targets[n] for n in unsure], [_TURNS] * len(unsure))
-        for n, turned in zip(unsure, tried, strict=True):
-            surest = max(turned, key=lambda e: float(e.vote_score.mean()))
-            if surest.vote_score.mean() > encoded[n].vote_score.mean() + _SURER:
-                encoded[n] = surest
+    def _best_rolls(self, targets: Sequence[Target]) -> list[EncodedView]:
+        """Encodes regions upright, and rotated where that makes the votes agree more."""
+        encoded = [only for [only] in self.encode_rotated(targets, [(0.0,)] * len(targets))]
+        doubtful = [n for n, e in enumerate(encoded) if e.vote_score.mean() < _CONFIDENT_SCORE]
+        tried = self.encode_rotated([targets[n] for n in doubtful], [_ROLLS] * len(doubtful))
+        for n, rotated in zip(doubtful, tried, strict=True):
+            best = max(rotated, key=lambda e: float(e.vote_score.mean()))
+            if best.vote_score.mean() > encoded[n].vote_score.mean() + _MIN_SCORE_GAIN:
+                encoded[n] = best
         return encoded
 
     def _encoded_view(
-        self, target: Target, turn: float, to_crop: np.ndarray, crop: EncodedCrop
+        self, target: Target, roll: float, to_crop: np.ndarray, crop: EncodedCrop
     ) -> EncodedView:
         assert target.roi is not None
         to_grid = grid_matrix(self.networks.features.config.stride) @ to_crop
         return EncodedView(
+            **vars(crop),
             view=target.view,
             roi=target.roi,
             K_grid=to_grid @ target.view.K,
             to_image=np.linalg.inv(to_grid),
-            volume=crop.volume,
-            vote_mean=crop.mean,
-            vote_covariance=crop.covariance,
-            vote_score=crop.score,
-            mask=crop.mask,
-            decoder=crop.decoder,
-            maps=crop.pyramid,
-            turn=turn,
+            roll=roll,
         )
 
 
 def merge_votes(
     view: EncodedView, others: Sequence[EncodedView], permutations: np.ndarray
 ) -> EncodedView:
-    """Averages the votes of several crops of one picture, each keypoint by its covariances.
+    """Averages the votes of several crops of one image, each keypoint by its covariances.
 
     Args:
         view: the crop whose grid and features the result keeps.
-        others: further crops of the same picture.
+        others: further crops of the same image.
         permutations: (P, 9) the numberings that the object's symmetries allow; each of ``others``
             takes the one that is nearest to ``view``.
 
     Returns:
-        ``view`` with the votes of all. Their errors are those of one network on one picture, not
+        ``view`` with the votes of all. Their errors are those of one network on one image, not
         independent ones, so the covariance is that of one crop.
     """
     means, covariances = [view.vote_mean], [view.vote_covariance]
@@ -289,7 +269,7 @@ def merge_votes(
         best = int(np.linalg.norm(moved - view.vote_mean, axis=-1).sum(-1).argmin())
         means.append(moved[best])
         covariances.append(A[:2, :2] @ other.vote_covariance[permutations[best]] @ A[:2, :2].T)
-    precision = np.linalg.inv(np.stack(covariances) + _MERGE_FLOOR * np.eye(2))
+    precision = np.linalg.inv(np.stack(covariances) + _MIN_MERGED_VARIANCE * np.eye(2))
     covariance = np.linalg.inv(precision.sum(0))
     weighted = np.einsum("vkij,vkj->ki", precision, np.stack(means))
     return replace(

@@ -18,9 +18,9 @@ from torch.nn import functional as F
 
 from .encoder import SameConv
 
-_LAID_OUT = 4
-"""Largest batch of pictures for which weights are kept as it wants them: larger ones take so long
-that it matters less, and come in many sizes. Of volumes there are few weights."""
+_MAX_PREPACKED_BATCH = 4
+"""Largest batch of images for which weights are kept in oneDNN's layout: larger ones take so long
+that it matters less, and come in many sizes. Volumes have few weights."""
 
 _Conv = nn.Conv2d | nn.Conv3d
 _Norm = nn.BatchNorm2d | nn.BatchNorm3d
@@ -28,9 +28,10 @@ M = TypeVar("M", bound=nn.Module)
 
 
 def can_fuse() -> bool:
-    """Whether this build of torch has oneDNN's convolutions with what follows them."""
-    return torch.backends.mkldnn.is_available() and hasattr(
-        torch.ops.mkldnn, "_convolution_pointwise"
+    """Whether this build of torch has the two operators used here, which are not a public API."""
+    return torch.backends.mkldnn.is_available() and all(
+        hasattr(torch.ops.mkldnn, operator)
+        for operator in ("_convolution_pointwise", "_reorder_convolution_weight")
     )
 
 
@@ -98,7 +99,7 @@ class FusedConv(nn.Module):
         layout = torch.channels_last if weight.ndim == 4 else torch.channels_last_3d
         self.register_buffer("weight", weight.to(dtype).contiguous(memory_format=layout))
         self.register_buffer("bias", None if bias is None else bias.to(dtype))
-        self._laid_out: dict[tuple[int, ...], Tensor] = {}
+        self._prepacked_weights: dict[tuple[int, ...], Tensor] = {}
         self.activation = "relu" if relu else "none"
 
     def forward(self, x: Tensor) -> Tensor:
@@ -120,14 +121,21 @@ class FusedConv(nn.Module):
         What it wants depends on the shape and on the number of threads, and it is many times
         slower with what it wants for others.
         """
-        if len(shape) == 4 and shape[0] > _LAID_OUT:
+        if len(shape) == 4 and shape[0] > _MAX_PREPACKED_BATCH:
             return self.weight
         key = torch.get_num_threads(), *shape
-        weight = self._laid_out.get(key)
+        weight = self._prepacked_weights.get(key)
         if weight is None:
             with torch.inference_mode(False):
-                weight = self._laid_out[key] = torch.ops.mkldnn._reorder_convolution_weight(
-                    self.weight, self.padding, self.stride, self.dilation, self.groups, list(shape)
+                weight = self._prepacked_weights[key] = (
+                    torch.ops.mkldnn._reorder_convolution_weight(
+                        self.weight,
+                        self.padding,
+                        self.stride,
+                        self.dilation,
+                        self.groups,
+                        list(shape),
+                    )
                 )
         return weight
 
@@ -137,8 +145,8 @@ def _fused(module: nn.Module, dtype: torch.dtype) -> nn.Module:
         return FusedConv(module, dtype)
     twin = copy(module)
     if isinstance(module, nn.Sequential):
-        layers = dict(enumerate(_fuse_row(list(module), dtype)))
-        twin._modules = {str(number): layer for number, layer in layers.items()}
+        layers = _fuse_conv_bn_relu(list(module), dtype)
+        twin._modules = {str(number): layer for number, layer in enumerate(layers)}
     else:
         twin._modules = {
             name: child if child is None else _fused(child, dtype)
@@ -147,7 +155,7 @@ def _fused(module: nn.Module, dtype: torch.dtype) -> nn.Module:
     return twin
 
 
-def _fuse_row(layers: list[nn.Module], dtype: torch.dtype) -> list[nn.Module]:
+def _fuse_conv_bn_relu(layers: list[nn.Module], dtype: torch.dtype) -> list[nn.Module]:
     """Layers that follow each other, convolutions with their batch norm and rectifier as one."""
     row: list[nn.Module] = []
     while layers:

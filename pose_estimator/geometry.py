@@ -89,7 +89,7 @@ def check_depth(depth: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """
     array = np.asarray(depth, dtype=np.float32)
     if array.shape != tuple(shape):
-        raise ValueError(f"depth must have the picture's shape {tuple(shape)}, got {array.shape}")
+        raise ValueError(f"depth must have the image's shape {tuple(shape)}, got {array.shape}")
     if not np.isfinite(array).all() or array.min(initial=0.0) < 0:
         raise ValueError("depth must be finite and not negative (metres, 0 = unknown)")
     return array
@@ -97,7 +97,7 @@ def check_depth(depth: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One picture with its camera: what an estimator is given.
+    """One image with its camera: what an estimator is given.
 
     Attributes:
         image: RGB uint8, (H, W, 3).
@@ -178,7 +178,7 @@ def crop_matrix(centre: np.ndarray, side: float, size: int) -> np.ndarray:
     )
 
 
-def turn_matrix(angle: float, size: int) -> np.ndarray:
+def rotation_matrix_2d(angle: float, size: int) -> np.ndarray:
     """The affine map (3, 3) that turns a crop of ``size`` pixels about its middle, by radians."""
     cosine, sine = np.cos(angle), np.sin(angle)
     middle = (size - 1) / 2
@@ -192,6 +192,6 @@ def turn_matrix(angle: float, size: int) -> np.ndarray:
 
 
 def grid_matrix(stride: int) -> np.ndarray:
-    """The affine map (3, 3) from pixels of a picture to those of a map with a stride."""
+    """The affine map (3, 3) from pixels of a image to those of a map with a stride."""
     offset = (1 - stride) / (2 * stride)
     return np.array([[1 / stride, 0, offset], [0, 1 / stride, offset], [0, 0, 1.0]])

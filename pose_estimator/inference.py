@@ -11,8 +11,9 @@ rounding goes.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
 from itertools import islice
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -38,25 +39,26 @@ _Item = TypeVar("_Item")
 _Answer = TypeVar("_Answer")
 
 
-class EncodedCrop(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class EncodedCrop:
     """What a crop shows of an object.
 
     Attributes:
         volume: features for the volume, (C, G, G).
         decoder: the 2D network's last map, (W, G, G).
-        pyramid: the encoder's maps at strides 2 to 32, (C, s, s) each.
-        mean: voted keypoints, (9, 2), pixels of the feature grid.
-        covariance: theirs, (9, 2, 2).
-        score: share of the object's pixels that agree, (9,).
+        maps: the encoder's maps at strides 2 to 32, (C, S, S) each.
+        vote_mean: voted keypoints, (9, 2), pixels of the feature grid.
+        vote_covariance: theirs, (9, 2, 2).
+        vote_score: share of the object's pixels that agree, 0 to 1, (9,).
         mask: probability of the visible object, (G, G).
     """
 
     volume: Tensor
     decoder: Tensor
-    pyramid: tuple[Tensor, ...]
-    mean: np.ndarray
-    covariance: np.ndarray
-    score: np.ndarray
+    maps: tuple[Tensor, ...]
+    vote_mean: np.ndarray
+    vote_covariance: np.ndarray
+    vote_score: np.ndarray
     mask: np.ndarray
 
 
@@ -74,7 +76,7 @@ class Inference:
         self.device = networks.device
         self.bfloat16 = uses_bfloat16(self.device)
         self.threads = threads or available_cores()
-        self._quick: dict[str, tuple[nn.Module, nn.Module]] = {}
+        self._fused_modules: dict[str, tuple[nn.Module, nn.Module]] = {}
         self._same_on: dict[tuple[Hashable, int], bool] = {}
 
     def detect(self, frames: Sequence[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -121,17 +123,9 @@ class Inference:
             volume = features.volume.float()
             mean, covariance, score = (as_array(part) for part in vote(features))
             mask = torch.sigmoid(features.mask_logits.float()).cpu().numpy()
-            found = iter(
-                EncodedCrop(
-                    volume[n],
-                    features.decoder[n],
-                    tuple(level[n] for level in pyramid),
-                    mean[n],
-                    covariance[n],
-                    score[n],
-                    mask[n],
-                )
-                for n in range(len(objects))
+            levels = zip(*pyramid, strict=True)
+            found = map(
+                EncodedCrop, volume, features.decoder, levels, mean, covariance, score, mask
             )
             return [list(islice(found, len(own))) for own, _ in crops]
 
@@ -241,10 +235,10 @@ class Inference:
         module = getattr(self.networks, part)
         if self.device.type != "cpu":
             return module
-        known = self._quick.get(part)
+        known = self._fused_modules.get(part)
         if known is None or known[0] is not module:
             quick = fused(module, torch.bfloat16 if self.bfloat16 else torch.float32)
-            known = self._quick[part] = module, quick
+            known = self._fused_modules[part] = module, quick
         return known[1]
 
     def _images(self, images: Sequence[np.ndarray]) -> Tensor:

@@ -1,7 +1,7 @@
-"""Where an object is in several views at once: one place in space, not the best of each picture.
+"""Where an object is in several views at once: one place in space, not the best of each image.
 
-Each view's heat map has several peaks. In one picture alone a neighbour may look more like the
-object than the object, half hidden, does; but it does not stand where the other picture has its own
+Each view's heat map has several peaks. In one image alone a neighbour may look more like the
+object than the object, half hidden, does; but it does not stand where the other image has its own
 neighbour. Peaks of two views belong together if one point in space explains both: their rays meet,
 at a depth that fits the sizes of both regions.
 """
@@ -16,23 +16,23 @@ import numpy as np
 from .estimate import Roi, depth_of_roi
 from .geometry import View, invert, project, transform
 
-_SIZE_DEVIATION = 0.3
+_SCALE_STD = 0.3
 """Standard deviation of the logarithm of a region's side."""
 
-_CENTRE_DEVIATION = 0.12
+_CENTER_STD = 0.12
 """Standard deviation of a region's centre in sides of the region."""
 
-_LARGEST_MISFIT = 16.0
+_MAX_COST = 16.0
 """Squared deviations from which two regions have nothing to do with each other."""
 
 _DEPTHS = np.exp(np.linspace(-0.8, 0.8, 65))
 """Depths that are tried along a ray, as factors of the one that the region's size means."""
 
 
-def choose_together(
+def associate_detections(
     candidates: Sequence[Sequence[Roi]], views: Sequence[View], diameter: float, scale: float
 ) -> list[int]:
-    """Picks one candidate of each view so that all are sure and of one mind.
+    """Picks one candidate of each view so that all are sure and consistently labeled.
 
     Args:
         candidates: regions of each view, at least one.
@@ -47,7 +47,7 @@ def choose_together(
     total = np.log(np.maximum([roi.score for roi in first], 1e-6))
     partners = []
     for regions, view in zip(others, views[1:], strict=True):
-        deviations, _ = misfits(first, regions, views[0], view, diameter, scale)
+        deviations, _ = association_costs(first, regions, views[0], view, diameter, scale)
         scores = np.log(np.maximum([roi.score for roi in regions], 1e-6))
         agreement = scores - 0.5 * deviations.min(axis=-1)
         partners.append(agreement.argmax(axis=1))
@@ -56,12 +56,12 @@ def choose_together(
     return [best, *(int(chosen[best]) for chosen in partners)]
 
 
-def sizes_together(
+def refine_roi_scales(
     regions: Sequence[Roi], views: Sequence[View], diameter: float, scale: float
 ) -> list[Roi]:
     """The same regions with the sides that an object has where the rays of their centres meet.
 
-    A detector is off by a tenth in a region's size, and more in pictures unlike those that it was
+    A detector is off by a tenth in a region's size, and more in images unlike those that it was
     trained on. Its centres, seen from two places, tell the distance better: on photographs of
     Linemod-Occluded, sides were 12 percent off before and 3 after.
 
@@ -76,20 +76,20 @@ def sizes_together(
     """
     first, *others = regions
     pairs = [
-        misfits([first], [other], views[0], view, diameter, scale)
+        association_costs([first], [other], views[0], view, diameter, scale)
         for other, view in zip(others, views[1:], strict=True)
     ]
     best = int(np.sum([deviations for deviations, _ in pairs], axis=0).argmin()) if pairs else 0
     sized, agreed = [], False
     for other, view, (deviations, depths) in zip(others, views[1:], pairs, strict=True):
-        agrees = deviations[0, 0, best] < _LARGEST_MISFIT
+        agrees = deviations[0, 0, best] < _MAX_COST
         agreed |= bool(agrees)
         side = scale * diameter * float(view.K[0, 0]) / depths[0, best]
         sized.append(replace(other, side=side) if agrees else other)
     return [replace(first, side=first.side / _DEPTHS[best]) if agreed else first, *sized]
 
 
-def misfits(
+def association_costs(
     firsts: Sequence[Roi],
     seconds: Sequence[Roi],
     view: View,
@@ -102,8 +102,8 @@ def misfits(
     Args:
         firsts: A regions of ``view``.
         seconds: B regions of ``other``.
-        view: picture and camera.
-        other: picture and camera.
+        view: image and camera.
+        other: image and camera.
         diameter: of the object, metres.
         scale: side of a region in diameters.
 
@@ -124,11 +124,11 @@ def misfits(
     depths = np.array([depth_of_roi(roi, other.K, diameter, scale) for roi in seconds])
     # Both centres are uncertain; the first's is carried over at the second's size.
     off = pixels[:, None] - centres[:, None]
-    off /= (np.sqrt(2) * _CENTRE_DEVIATION * sides)[:, None, None]
+    off /= (np.sqrt(2) * _CENTER_STD * sides)[:, None, None]
     deviations = (
         (off**2).sum(-1)
-        + (np.log(_DEPTHS) / _SIZE_DEVIATION) ** 2
-        + (np.log(safe[:, None, :, 2] / depths[:, None]) / _SIZE_DEVIATION) ** 2
+        + (np.log(_DEPTHS) / _SCALE_STD) ** 2
+        + (np.log(safe[:, None, :, 2] / depths[:, None]) / _SCALE_STD) ** 2
     )
-    deviations = np.minimum(deviations, _LARGEST_MISFIT)
-    return np.where(before[:, None], deviations, _LARGEST_MISFIT), seen[..., 2]
+    deviations = np.minimum(deviations, _MAX_COST)
+    return np.where(before[:, None], deviations, _MAX_COST), seen[..., 2]

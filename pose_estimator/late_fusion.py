@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .agreement import agree
+from .agreement import resolve_symmetry_ambiguity
 from .estimate import PoseEstimate
 from .linear_triangulation import triangulate_linearly
 from .two_view import Sighting, TwoViewEstimator
@@ -19,7 +19,9 @@ class LateFusionEstimator(TwoViewEstimator):
         return [self._triangulated(sighting) for sighting in sightings]
 
     def _triangulated(self, sighting: Sighting) -> PoseEstimate:
-        agreed, _ = agree(sighting.encoded, self.networks.objects[sighting.object_name])
+        agreed, _ = resolve_symmetry_ambiguity(
+            sighting.encoded, self.networks.objects[sighting.object_name]
+        )
         keypoints, covariance = triangulate_linearly(
             np.stack([e.vote_mean for e in agreed]),
             np.stack([e.vote_covariance for e in agreed]),

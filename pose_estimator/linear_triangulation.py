@@ -19,14 +19,14 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from .pnp import projection_jacobian
-from .triangulation import FARTHEST, NEAREST, PRIOR, check_cameras, triangulate
+from .reprojection import projection_jacobian
+from .triangulation import MAX_DEPTH, MIN_DEPTH, PRIOR_STD, check_cameras, triangulate
 
-_PRIOR_SHARE = 1e-9
+_PRIOR_WEIGHT = 1e-9
 """Weight of what is known beforehand, relative to the pixels: it counts where they say nothing."""
 
-_LARGEST_VARIANCE = 1e8
-"""Variance in pixels squared of a pixel that says nothing."""
+_UNSEEN_VARIANCE = 1e8
+"""Variance in pixels squared of a pixel that a view does not see."""
 
 
 def triangulate_linearly(
@@ -57,7 +57,7 @@ def triangulate_linearly(
     covariances = np.asarray(covariances, dtype=np.float64)
     cameras, T_view_first = check_cameras(pixels, covariances, Ks, T_cam_world)
     seen = np.isfinite(pixels).all(-1) & np.isfinite(covariances).all((-2, -1))
-    nothing = _LARGEST_VARIANCE * np.eye(2)
+    nothing = _UNSEEN_VARIANCE * np.eye(2)
     covariances = np.where(seen[..., None, None], covariances, nothing)
     pairs = [[0, other] for other in range(1, len(pixels))]
     points = np.stack(
@@ -94,7 +94,7 @@ def _pair(
         points = (homogeneous[:3] / homogeneous[3]).T
         depths = points @ T_view_first[:, 2, :3].T + T_view_first[:, 2, 3]  # (N, 2)
         sound = np.isfinite(points).all(1) & np.isfinite(pixels).all((0, 2))
-        sound &= ((depths > NEAREST) & (depths < FARTHEST)).all(1)
+        sound &= ((depths > MIN_DEPTH) & (depths < MAX_DEPTH)).all(1)
     if not sound.all():
         points[~sound] = triangulate(
             pixels[:, ~sound], covariances[:, ~sound], list(cameras), list(T_view_first)
@@ -110,17 +110,14 @@ def _gains(
     Returns:
         The derivatives, and the covariance (N, 3, 3) of what the pixels leave open.
     """
-    jacobians, weights = [], []
-    for K, T in zip(cameras, T_view_first, strict=True):
-        inside = points @ T[:3, :3].T + T[:3, 3]
-        inside[:, 2] = np.maximum(inside[:, 2], NEAREST)
-        jacobians.append(projection_jacobian(inside, K) @ T[:3, :3])
-        weights.append(inside[:, 2, None, None] ** 2)
-    J, weight = np.stack(jacobians), np.stack(weights)
+    seen = points @ T_view_first[:, :3, :3].swapaxes(-1, -2) + T_view_first[:, None, :3, 3]
+    seen[..., 2] = np.maximum(seen[..., 2], MIN_DEPTH)
+    J = projection_jacobian(seen, cameras) @ T_view_first[:, None, :3, :3]
+    weight = seen[..., 2, None, None] ** 2
     normal = (weight * (J.swapaxes(-1, -2) @ J)).sum(axis=0)
-    prior = _PRIOR_SHARE * np.trace(normal, axis1=-2, axis2=-1)[:, None, None] * np.eye(3)
+    prior = _PRIOR_WEIGHT * np.trace(normal, axis1=-2, axis2=-1)[:, None, None] * np.eye(3)
     inverse = np.linalg.inv(normal + prior)
-    open_part = PRIOR * inverse @ prior
+    open_part = PRIOR_STD * inverse @ prior
     return weight * (inverse @ J.swapaxes(-1, -2)), open_part @ open_part.swapaxes(-1, -2)
 
 

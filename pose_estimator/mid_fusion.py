@@ -1,7 +1,7 @@
 """``mid``: the pose from two (or more) views, fused in a volume of features.
 
 The keypoints of the volume are solved for the pose. A volume of 16 voxels a side cannot be as sharp
-as the votes of pictures, so the pose is then refined to explain both: keypoints in space and votes.
+as the votes of images, so the pose is then refined to explain both: keypoints in space and votes.
 """
 
 from __future__ import annotations
@@ -12,7 +12,12 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from .agreement import agree, believable, explain, joint_pose
+from .agreement import (
+    depth_is_consistent,
+    fit_multi_view_pose,
+    joint_pose,
+    resolve_symmetry_ambiguity,
+)
 from .estimate import PoseEstimate
 from .frontend import EncodedView
 from .geometry import invert, transform
@@ -20,7 +25,7 @@ from .multi_view_pnp import SpacePoints
 from .two_view import Sighting, TwoViewEstimator
 from .volume import ViewMaps
 
-_LEAST_DEVIATION = 0.02
+_MIN_STD = 0.02
 """Standard deviation in diameters that the volume's keypoints are believed at best."""
 
 
@@ -31,7 +36,7 @@ class MidFusionEstimator(TwoViewEstimator):
         volumes, before = [], []
         for sighting in sightings:
             model = self.networks.objects[sighting.object_name]
-            agreed, points = agree(sighting.encoded, model)
+            agreed, points = resolve_symmetry_ambiguity(sighting.encoded, model)
             joint = joint_pose(agreed, points, model, sighting.first)
             before.append((agreed, joint))
             guess = transform(joint, model.keypoints[-1])
@@ -66,17 +71,17 @@ class MidFusionEstimator(TwoViewEstimator):
 
         Args:
             sighting: the views as they voted.
-            agreed: the views, of one mind (see :func:`agree`).
+            agreed: the views, consistently labeled (see :func:`resolve_symmetry_ambiguity`).
             joint: the pose (4, 4) from the votes alone.
             keypoints: the volume's, (9, 3) in the reference camera, m.
             covariance: theirs, (9, 3, 3).
         """
         model = self.networks.objects[sighting.object_name]
         solved = self.answer(sighting, keypoints, covariance, weigh=False)
-        floor = (_LEAST_DEVIATION * model.diameter) ** 2 * np.eye(3)
+        floor = (_MIN_STD * model.diameter) ** 2 * np.eye(3)
         found = SpacePoints(keypoints, covariance + floor)
-        T = explain(agreed, model, [solved.T_cam_obj, joint], found)
-        if not believable(T, sighting.first, model):
+        T = fit_multi_view_pose(agreed, model, [solved.T_cam_obj, joint], found)
+        if not depth_is_consistent(T, sighting.first, model):
             T = joint
         return replace(
             solved,

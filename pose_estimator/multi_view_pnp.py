@@ -10,17 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from .geometry import check_intrinsics, check_rigid, invert, make_transform
-from .pnp import (
-    NEAREST_POINT,
-    PnpProblem,
+from .geometry import check_intrinsics, check_rigid, invert
+from .reprojection import (
     PnpResult,
+    ReprojectionProblem,
     huber_cost,
     point_jacobian,
-    projection_jacobian,
     refine,
     robust_normal_equations,
     whiteners,
@@ -63,31 +62,21 @@ def multi_view_pnp(
     if len(T_cam_world) != len(Ks) or not len(starts):
         raise ValueError(f"needs {len(Ks)} camera poses and a start, got {len(T_cam_world)} poses")
     cameras = np.stack([check_rigid(T, f"T_cam_world[{i}]") for i, T in enumerate(T_cam_world)])
-    problem: PnpProblem = _Problem(
-        model_points=np.asarray(model_points, dtype=np.float64),
+    problem = ReprojectionProblem(
         pixels=np.nan_to_num(np.asarray(pixels, dtype=np.float64), posinf=0, neginf=0),
+        whiteners=whiteners(np.asarray(pixels), np.asarray(covariances)),
         Ks=np.stack([check_intrinsics(K, f"Ks[{i}]") for i, K in enumerate(Ks)]),
         T_view_first=cameras @ invert(cameras[0]),
-        whiteners=np.stack([whiteners(*pair) for pair in zip(pixels, covariances, strict=True)]),
+        model_points=np.asarray(model_points, dtype=np.float64),
     )
     if points is not None:
-        if points.mean.shape != (count, 3) or points.covariance.shape != (count, 3, 3):
-            raise ValueError(
-                f"points must be {(count, 3)} with covariances {(count, 3, 3)}, got "
-                f"{points.mean.shape} and {points.covariance.shape}"
-            )
-        precision = np.linalg.inv(points.covariance)
-        root = np.linalg.cholesky(0.5 * (precision + precision.transpose(0, 2, 1)))
-        problem = _WithPoints(problem, model_points, points.mean, root.transpose(0, 2, 1))
+        problem = _WithPoints(**vars(problem), points=points)
     best = PnpResult(np.array(starts[0], dtype=np.float64), np.eye(6), np.inf)
     for start in starts:
         rotation, translation = start[:3, :3], start[:3, 3]
-        if not np.isfinite(problem.cost(rotation, translation)):
-            continue
-        rotation, translation, cost, information = refine(problem, rotation, translation)
-        if cost < best.cost:
-            covariance = np.linalg.inv(information + np.eye(6))
-            best = PnpResult(make_transform(rotation, translation), covariance, float(cost))
+        if np.isfinite(problem.cost(rotation, translation)):
+            found = refine(problem, rotation, translation)
+            best = found if found.cost < best.cost else best
     return best
 
 
@@ -105,82 +94,46 @@ class SpacePoints:
 
 
 @dataclass(frozen=True, eq=False)
-class _WithPoints:
-    """A problem, and the Mahalanobis distances from points in space, each with a Huber weight.
+class _WithPoints(ReprojectionProblem):
+    """Adds the Mahalanobis distances from points in space, each with a Huber weight.
 
-    Attributes:
-        problem: the reprojection errors.
-        model_points: (N, 3).
-        mean: (N, 3).
-        whiteners: (N, 3, 3) W with W^T W the inverse covariance.
+    Raises:
+        ValueError: if there is not one point for each of the model's.
     """
 
-    problem: PnpProblem
-    model_points: np.ndarray
-    mean: np.ndarray
-    whiteners: np.ndarray
+    points: SpacePoints
 
-    def _residuals(self, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-        offset = self.model_points @ rotation.T + translation - self.mean
-        return (self.whiteners @ offset[..., None])[..., 0]
+    def __post_init__(self) -> None:
+        count = len(self.model_points)
+        mean, covariance = self.points.mean, self.points.covariance
+        if mean.shape != (count, 3) or covariance.shape != (count, 3, 3):
+            raise ValueError(
+                f"points must be {(count, 3)} with covariances {(count, 3, 3)}, got "
+                f"{mean.shape} and {covariance.shape}"
+            )
+
+    @cached_property
+    def _space_whiteners(self) -> np.ndarray:
+        """(N, 3, 3) W with W^T W the inverse covariance."""
+        precision = np.linalg.inv(self.points.covariance)
+        root = np.linalg.cholesky(0.5 * (precision + precision.transpose(0, 2, 1)))
+        return root.transpose(0, 2, 1)
+
+    def _distances(self, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+        """Whitened offsets (N, 3) of the keypoints from the points in space."""
+        offset = self.model_points @ rotation.T + translation - self.points.mean
+        return (self._space_whiteners @ offset[..., None])[..., 0]
 
     def cost(self, rotation: np.ndarray, translation: np.ndarray) -> float:
-        """Huber cost of both; infinite unless the object is in front of every camera."""
-        cost = self.problem.cost(rotation, translation)
+        cost = super().cost(rotation, translation)
         if not np.isfinite(cost):
             return cost
-        return cost + huber_cost(self._residuals(rotation, translation))
+        return cost + huber_cost(self._distances(rotation, translation))
 
     def normal_equations(
         self, rotation: np.ndarray, translation: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient (6,) and Gauss-Newton matrix (6, 6) of the Huber cost of both."""
-        gradient, information = self.problem.normal_equations(rotation, translation)
-        jacobian = self.whiteners @ point_jacobian(self.model_points @ rotation.T)
-        more = robust_normal_equations(self._residuals(rotation, translation), jacobian)
+        gradient, information = super().normal_equations(rotation, translation)
+        jacobian = self._space_whiteners @ point_jacobian(self.model_points @ rotation.T)
+        more = robust_normal_equations(self._distances(rotation, translation), jacobian)
         return gradient + more[0], information + more[1]
-
-
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """Model (N, 3); for V views: pixels, Ks, transforms from the first, and whiteners as in PnP."""
-
-    model_points: np.ndarray
-    pixels: np.ndarray
-    Ks: np.ndarray
-    T_view_first: np.ndarray
-    whiteners: np.ndarray
-
-    def seen(self, points: np.ndarray) -> np.ndarray:
-        """Points (N, 3) of the first camera in each camera, (V, N, 3)."""
-        rotations = self.T_view_first[:, :3, :3].transpose(0, 2, 1)
-        return points @ rotations + self.T_view_first[:, None, :3, 3]
-
-    def residuals(self, seen: np.ndarray) -> np.ndarray:
-        """Whitened reprojection errors (V N, 2)."""
-        uv = seen @ self.Ks.transpose(0, 2, 1)
-        errors = uv[..., :2] / uv[..., 2:] - self.pixels
-        return (self.whiteners @ errors[..., None])[..., 0].reshape(-1, 2)
-
-    def cost(self, rotation: np.ndarray, translation: np.ndarray) -> float:
-        """Huber cost; infinite unless the object is in front of every camera."""
-        seen = self.seen(self.model_points @ rotation.T + translation)
-        if not seen[..., 2].min() > NEAREST_POINT:
-            return np.inf
-        return huber_cost(self.residuals(seen))
-
-    def normal_equations(
-        self, rotation: np.ndarray, translation: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient (6,) and Gauss-Newton matrix (6, 6) of the Huber cost."""
-        rotated = self.model_points @ rotation.T
-        seen = self.seen(rotated + translation)
-        jacobian = np.concatenate(
-            [
-                whitener @ projection_jacobian(points, K) @ T[:3, :3] @ point_jacobian(rotated)
-                for whitener, points, K, T in zip(
-                    self.whiteners, seen, self.Ks, self.T_view_first, strict=True
-                )
-            ]
-        )
-        return robust_normal_equations(self.residuals(seen), jacobian)

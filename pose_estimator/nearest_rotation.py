@@ -15,14 +15,14 @@ import torch
 from torch.autograd.function import once_differentiable
 
 
-def project_to_rotation(matrices: torch.Tensor) -> torch.Tensor:
+def project_to_so3(matrices: torch.Tensor) -> torch.Tensor:
     """The rotations nearest to matrices (..., 3, 3) in the Frobenius norm.
 
     The gradient is that of the polar decomposition itself. Unlike the gradient of the quaternion
     it is finite at equal singular values, where an average of rotations always is.
     """
     if torch.is_grad_enabled() and matrices.requires_grad:
-        return _ProjectToRotation.apply(matrices)
+        return _ProjectToSO3.apply(matrices)
     return _nearest(matrices)
 
 
@@ -34,8 +34,8 @@ def _nearest(matrices: torch.Tensor) -> torch.Tensor:
     return (products.view(-1, 16) @ forms.T).view(matrices.shape)
 
 
-class _ProjectToRotation(torch.autograd.Function):
-    """M = R P with R a rotation and P symmetric; see ``project_to_rotation``."""
+class _ProjectToSO3(torch.autograd.Function):
+    """M = R P with R a rotation and P symmetric; see ``project_to_so3``."""
 
     @staticmethod
     def forward(ctx: Any, matrices: torch.Tensor) -> torch.Tensor:  # type: ignore[override]

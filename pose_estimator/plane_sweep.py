@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-_NEAREST = 0.05
-"""Least depth in metres in the other view of what it is taken to see."""
+_MIN_DEPTH = 0.05
+"""Smallest depth in metres in the other view of what it is taken to see."""
 
 
 def sweep_pixels(
@@ -45,7 +45,7 @@ def sweep_pixels(
     rays = (turned @ pixels).reshape(-1, 3, 1, height, width)
     epipole = (K_view @ T_view_ref[:, :3, 3:]).reshape(-1, 3, 1, 1, 1)
     x, y, z = (rays * depth[:, None] + epipole).unbind(1)
-    positive = z.clamp(min=_NEAREST)
+    positive = z.clamp(min=_MIN_DEPTH)
     return torch.stack([x / positive, y / positive], -1), z
 
 
@@ -67,30 +67,30 @@ def sweep(
     pixels, z = sweep_pixels(K_ref, K_view, T_view_ref, depth.detach())
     size = pixels.new_tensor([features.shape[3] - 1, features.shape[2] - 1])
     grid = pixels * (2 / size) - 1
-    inside = (grid.abs().amax(-1) <= 1) & (z > _NEAREST)
+    inside = (grid.abs().amax(-1) <= 1) & (z > _MIN_DEPTH)
     planes, height, width = depth.shape[1:]
-    drawn = F.grid_sample(
+    warped = F.grid_sample(
         features.float(),
         grid.reshape(len(grid), planes * height, width, 2),
         mode="bilinear",
         padding_mode="border",
         align_corners=True,
     )
-    return drawn.unflatten(2, (planes, height)), inside
+    return warped.unflatten(2, (planes, height)), inside
 
 
-def group_correlation(reference: Tensor, drawn: Tensor, groups: int) -> Tensor:
+def group_correlation(reference: Tensor, warped: Tensor, groups: int) -> Tensor:
     """How alike the reference and a swept view are, in groups of channels.
 
     Guo et al., "Group-wise correlation stereo network", CVPR 2019, equation 5.
 
     Args:
         reference: (B, C, H, W).
-        drawn: (B, C, D, H, W).
+        warped: (B, C, D, H, W).
         groups: a divisor of C.
 
     Returns:
         (B, groups, D, H, W) mean products of the channels of each group.
     """
-    product = reference.float().unsqueeze(2) * drawn
+    product = reference.float().unsqueeze(2) * warped
     return product.unflatten(1, (groups, -1)).mean(2)

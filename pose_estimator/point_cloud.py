@@ -11,13 +11,13 @@ from torch.nn import functional as F
 
 from .geometry import grid_matrix
 
-LEAST_POINTS = 16
+MIN_POINTS = 16
 """With fewer points, a cloud says next to nothing."""
 
-_ON_OBJECT = 0.5
+_MIN_MASK = 0.5
 """Least mask probability of a pixel whose depth is taken."""
 
-_REACH = 0.9
+_MAX_DISTANCE = 0.9
 """Diameters from the middle of the cloud beyond which a point is on something else."""
 
 
@@ -25,7 +25,7 @@ class PointCloud(NamedTuple):
     """N points for each of B crops, in the crop's frame.
 
     The crop's frame looks along the ray through the middle of the crop, with its x axis along the
-    crop's rows: what a crop shows says how the object stands to that ray, wherever in the picture
+    crop's rows: what a crop shows says how the object stands to that ray, wherever in the image
     the crop was cut and however it was turned.
 
     Attributes:
@@ -68,7 +68,7 @@ def sample_points(
     inside = F.interpolate(mask[:, None], size=(side, side), mode="bilinear", align_corners=False)[
         :, 0
     ]
-    usable = (depth > 0) & (inside > _ON_OBJECT)
+    usable = (depth > 0) & (inside > _MIN_MASK)
     if isinstance(generator, torch.Generator):
         keys = torch.rand((batch, side * side), generator=generator, device="cpu")
     else:
@@ -85,7 +85,7 @@ def sample_points(
     rays = pixels @ torch.linalg.inv(K).mT
     xyz = (rays * z[..., None]) @ R_crop_cam.mT
     centre = _median(xyz, valid)
-    valid = valid & ((xyz - centre[:, None]).norm(dim=-1) < _REACH * diameter[:, None])
+    valid = valid & ((xyz - centre[:, None]).norm(dim=-1) < _MAX_DISTANCE * diameter[:, None])
     centre = _median(xyz, valid)
     to_grid = torch.from_numpy(grid_matrix(side // mask.shape[-1])).to(depth)
     return PointCloud(

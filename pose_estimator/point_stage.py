@@ -13,7 +13,7 @@ from .dataset import TrainingSet
 from .depth_augmentation import DepthAugmentationConfig, augment_depth
 from .loader import Batch, Draw, Sample
 from .losses import keypoint_loss, pose_loss
-from .point_cloud import LEAST_POINTS, sample_points
+from .point_cloud import MIN_POINTS, sample_points
 from .point_voting import PointMaps, PointVotes, point_features
 from .solvers import RigidMotions, solve
 from .stage_base import Answers, KeypointStage, table
@@ -51,7 +51,7 @@ class PointStage(KeypointStage):
         cloud = sample_points(
             batch["depth"], mask, K, diameter, networks.points.config.points, draws
         )
-        enough = cloud.valid.sum(1) >= LEAST_POINTS
+        enough = cloud.valid.sum(1) >= MIN_POINTS
         votes = networks.points(maps, cloud, index, diameter)
         T_true = self.nearest_equivalent(votes.keypoints, batch["T_cam_obj"], index)
         truth = self.place(T_true, index)

@@ -22,8 +22,8 @@ from torch.nn import functional as F
 from .features import KEYPOINTS
 from .point_cloud import PointCloud
 
-_SHARPEST = math.log(0.01)
-_VAGUEST = math.log(1.0)
+_MIN_LOG_ERROR = math.log(0.01)
+_MAX_LOG_ERROR = math.log(1.0)
 """Limits of the logarithm of a vote's expected error, in diameters."""
 
 _OUTLIER = 0.1
@@ -32,7 +32,7 @@ _OUTLIER = 0.1
 _ROUNDS = 2
 """How often outliers are eliminated."""
 
-_REACH = 2.0
+_MAX_DISPLACEMENT = 2.0
 """Diameters to which the displacements of the 2D votes are clipped."""
 
 _OUTPUTS = 5
@@ -146,8 +146,10 @@ class PointVotingNet(nn.Module):
             trusted = across * torch.sigmoid(raw[..., 4:])
             offset = raw[..., :3] + F.pad(trusted, (0, 1))
             candidates = cloud.xyz[:, :, None] + diameter[:, None, None, None] * offset
-            log_error = _SHARPEST + (_VAGUEST - _SHARPEST) * torch.sigmoid(raw[..., 3])
-            mean, covariance = consensus(candidates, log_error, cloud.valid, diameter)
+            log_error = _MIN_LOG_ERROR + (_MAX_LOG_ERROR - _MIN_LOG_ERROR) * torch.sigmoid(
+                raw[..., 3]
+            )
+            mean, covariance = robust_mean(candidates, log_error, cloud.valid, diameter)
             R = cloud.R_crop_cam
             return PointVotes(
                 candidates=candidates,
@@ -192,11 +194,13 @@ class PointVotingNet(nn.Module):
         rays = F.pad(maps.vote_mean, (0, 1), value=1.0) @ backward.mT
         rays = rays[..., :2] / rays[..., 2:].clamp(min=0.1)
         across = cloud.xyz[:, :, None, 2:] * rays[:, None] - cloud.xyz[:, :, None, :2]
-        across = (across / diameter[:, None, None, None]).clamp(-_REACH, _REACH)
+        across = (across / diameter[:, None, None, None]).clamp(
+            -_MAX_DISPLACEMENT, _MAX_DISPLACEMENT
+        )
         focal = torch.linalg.det(maps.K_grid[:, :2, :2]).abs().sqrt()
         per_pixel = cloud.centre[:, 2] / (focal * diameter)
         spread = torch.linalg.det(maps.vote_covariance).clamp(min=1e-8) ** 0.25
-        return across, (spread * per_pixel[:, None]).clamp(1e-3, _REACH).log()[:, None]
+        return across, (spread * per_pixel[:, None]).clamp(1e-3, _MAX_DISPLACEMENT).log()[:, None]
 
 
 def point_features(decoder: Tensor, mask: Tensor) -> Tensor:
@@ -205,7 +209,7 @@ def point_features(decoder: Tensor, mask: Tensor) -> Tensor:
     return torch.cat([decoder.float(), mask[:, None]], 1)
 
 
-def consensus(
+def robust_mean(
     candidates: Tensor, log_error: Tensor, valid: Tensor, diameter: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Mean and covariance of the votes, outliers eliminated softly.
@@ -223,14 +227,14 @@ def consensus(
     Returns:
         (B, 9, 3) and (B, 9, 3, 3).
     """
-    nobody = ~valid.any(1)
-    heard = (valid | nobody[:, None])[..., None]
-    weight = torch.softmax((-2 * log_error).masked_fill(~heard, -torch.inf), 1)
+    empty = ~valid.any(1)
+    valid_or_all = (valid | empty[:, None])[..., None]
+    weight = torch.softmax((-2 * log_error).masked_fill(~valid_or_all, -torch.inf), 1)
     mean = torch.einsum("bnk,bnki->bki", weight, candidates)
     for _ in range(_ROUNDS):
         miss = (candidates - mean[:, None]).square().sum(-1)
         say = 1 / (1 + miss / (_OUTLIER * diameter[:, None, None]) ** 2) ** 2
-        kept = weight * say + 1e-12 * heard
+        kept = weight * say + 1e-12 * valid_or_all
         kept = kept / kept.sum(1, keepdim=True)
         mean = torch.einsum("bnk,bnki->bki", kept, candidates)
     deviation = candidates - mean[:, None]

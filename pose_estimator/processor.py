@@ -5,31 +5,28 @@ from __future__ import annotations
 import os
 import platform
 from functools import cache
-from pathlib import Path
 
-from .cores import available_cores
-from .device import has_fast_bfloat16
+from .cores import available_cores, cpuinfo
+from .device import BFLOAT16_FLAGS, has_fast_bfloat16
 
 LIMITS = ("ONEDNN_MAX_CPU_ISA", "DNNL_MAX_CPU_ISA", "ATEN_CPU_CAPABILITY")
 """Variables that forbid a part of a processor's instructions, of oneDNN and of PyTorch itself."""
 
-_CPUINFO = Path("/proc/cpuinfo")
 _INSTRUCTIONS = {"avx512bw": "AVX-512", "avx2": "AVX2", "avx": "AVX"}
-_BFLOAT16 = ("avx512_bf16", "amx_bf16")
 
 
 @cache
 def processor_name() -> str:
     """The model's name, or the architecture's where the system does not tell it."""
-    return _cpuinfo().get("model name") or platform.processor() or platform.machine()
+    return cpuinfo().get("model name") or platform.processor() or platform.machine()
 
 
 @cache
 def instructions() -> str:
     """The widest instructions that the processor has, in words."""
-    flags = _cpuinfo().get("flags", "").split()
+    flags = cpuinfo().get("flags", "").split()
     widest = next((name for flag, name in _INSTRUCTIONS.items() if flag in flags), "")
-    with_bfloat16 = " with bfloat16" if any(flag in flags for flag in _BFLOAT16) else ""
+    with_bfloat16 = " with bfloat16" if BFLOAT16_FLAGS.intersection(flags) else ""
     return (widest or platform.machine()) + with_bfloat16
 
 
@@ -47,13 +44,3 @@ def describe_processor() -> str:
     """One line that figures can be compared by: model, cores, instructions, limits, format."""
     parts = [processor_name(), f"{available_cores()} cores", instructions(), limits()]
     return ", ".join([*filter(None, parts), f"networks in {number_format()}"])
-
-
-def _cpuinfo() -> dict[str, str]:
-    """What Linux says of the first core; empty elsewhere."""
-    try:
-        lines = _CPUINFO.read_text().split("\n\n")[0].splitlines()
-    except OSError:
-        return {}
-    pairs = (line.partition(":") for line in lines)
-    return {key.strip(): value.strip() for key, _, value in pairs}

@@ -13,8 +13,8 @@ from collections.abc import Mapping, Set
 import torch
 from torch import Tensor, nn
 
-_LARGEST = 127
-_LEAST_ROW = 32
+_MAX_LEVEL = 127
+_MIN_CHANNEL_SIZE = 32
 """Numbers of an output channel from which on eight bits are used. Depthwise filters have fewer, and
 hardly any share in a file's size."""
 
@@ -31,7 +31,7 @@ def quantizable(networks: nn.Module) -> set[str]:
         f"{name}.weight"
         for name, module in networks.named_modules()
         if isinstance(module, nn.Conv2d | nn.Conv3d | nn.Linear)
-        and module.weight[0].numel() >= _LEAST_ROW
+        and module.weight[0].numel() >= _MIN_CHANNEL_SIZE
         and not _FIRST.search(name)
     }
 
@@ -50,9 +50,9 @@ def quantize(weight: Tensor) -> tuple[Tensor, Tensor]:
         infinite where the channel holds such a number.
     """
     rows = weight.detach().float().flatten(1)
-    scale = (rows.abs().amax(1) / _LARGEST).bfloat16()
+    scale = (rows.abs().amax(1) / _MAX_LEVEL).bfloat16()
     step = scale.float().masked_fill(scale == 0, 1.0)
-    numbers = (rows / step[:, None]).nan_to_num().round().clamp(-_LARGEST, _LARGEST)
+    numbers = (rows / step[:, None]).nan_to_num().round().clamp(-_MAX_LEVEL, _MAX_LEVEL)
     return numbers.to(torch.int8).reshape(weight.shape).contiguous(), scale
 
 

@@ -1,4 +1,4 @@
-"""``rgbd``: the pose from one picture and a depth sensor's map of it, the study's reference."""
+"""``rgbd``: the pose from one image and a depth sensor's map of it, the study's reference."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .estimate import PoseEstimate, Roi
 from .frontend import EncodedView
 from .geometry import grid_matrix
 from .inference import as_array
-from .point_cloud import LEAST_POINTS, sample_points
+from .point_cloud import MIN_POINTS, sample_points
 from .point_voting import PointMaps, point_features
 from .single_view import Request
 from .two_view import Sighting, TwoViewEstimator
@@ -22,7 +22,7 @@ from .two_view import Sighting, TwoViewEstimator
 class RgbdEstimator(TwoViewEstimator):
     """Points of the sensor's depth vote for the keypoints; further views are ignored.
 
-    Like the fusions of views it looks twice: the first pose crops the image anew. Where the
+    Like the fusions of views it looks twice: the first pose crops the image again. Where the
     sensor sees next to nothing of the object, it answers as ``single`` does.
     """
 
@@ -41,7 +41,7 @@ class RgbdEstimator(TwoViewEstimator):
         first = self.fuse(sightings)
         answers = [sighting.first for sighting in sightings]
         seen = [n for n, pose in enumerate(first) if pose is not answers[n]]
-        again = self.look_again([replace(sightings[n], first=first[n]) for n in seen])
+        again = self.refine([replace(sightings[n], first=first[n]) for n in seen])
         for n, sighting, pose in zip(seen, again, self.fuse(again), strict=True):
             answers[n] = replace(pose, rois=sighting.first.rois)
         return answers
@@ -71,7 +71,7 @@ class RgbdEstimator(TwoViewEstimator):
             self.networks.points.config.points,
             [torch.Generator("cpu").manual_seed(0) for _ in sightings],
         )
-        decoder = torch.stack([r.decoder for r in references if r.decoder is not None])
+        decoder = torch.stack([r.decoder for r in references])
         maps = PointMaps(
             features=point_features(decoder, mask),
             vote_mean=tensor(np.stack([r.vote_mean for r in references])),
@@ -80,7 +80,7 @@ class RgbdEstimator(TwoViewEstimator):
         )
         index = torch.tensor([self.index(name) for name in names], device=self.inference.device)
         votes = self.networks.points(maps, cloud, index, diameter)
-        enough = (cloud.valid.sum(1) >= LEAST_POINTS).tolist()
+        enough = (cloud.valid.sum(1) >= MIN_POINTS).tolist()
         parts = zip(as_array(votes.keypoints), as_array(votes.covariance), strict=True)
         return [part if known else None for known, part in zip(enough, parts, strict=True)]
 

@@ -1,4 +1,4 @@
-"""``single``: the pose from one picture, by voted keypoints and uncertainty-driven PnP (PVNet)."""
+"""``single``: the pose from one image, by voted keypoints and uncertainty-driven PnP (PVNet)."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from .frontend import EncodedView, Frontend, Target
 from .geometry import View, make_transform, transform
 from .inference import Inference
 from .networks import PoseNetworks
-from .pnp import PnpResult, keypoints_covariance, uncertainty_pnp
+from .pnp import keypoints_covariance, uncertainty_pnp
 from .solvers import check_solver
 
-_FARTHEST_OFF = 2.0
+_MAX_DEPTH_RATIO = 2.0
 """Factor between the depths of a pose and of its region from which the pose is not believed; the
 detector misjudges the size of a region by less than ten percent."""
 
@@ -106,10 +106,16 @@ class SingleViewEstimator:
         """
         targets = []
         for number, (views, name) in enumerate(requests):
-            first_view(views)
-            regions: Sequence[Roi | None] = [None] * len(views)
-            if rois is not None:
-                regions = check_rois(rois[number], views)
+            if len(views) == 0:
+                raise ValueError(
+                    "estimate needs at least one view, the reference view first; got none"
+                )
+            regions = [None] * len(views) if rois is None else rois[number]
+            if len(regions) != len(views):
+                raise ValueError(
+                    f"rois must have one region for each of the {len(views)} views, "
+                    f"got {len(regions)}"
+                )
             index = self.index(name)
             targets.append(
                 [Target(view, index, roi) for view, roi in zip(views, regions, strict=True)]
@@ -140,11 +146,13 @@ class SingleViewEstimator:
         object is placed there instead.
         """
         model = self.networks.objects[object_name]
-        solution = solve_pnp(encoded, model.keypoints)
+        solution = uncertainty_pnp(
+            model.keypoints, encoded.pixels, encoded.pixel_covariance, encoded.view.K
+        )
         depth = depth_of_roi(
             encoded.roi, encoded.view.K, model.diameter, self.networks.features.config.roi_scale
         )
-        if not depth / _FARTHEST_OFF < solution.T_cam_obj[2, 3] < depth * _FARTHEST_OFF:
+        if not depth / _MAX_DEPTH_RATIO < solution.T_cam_obj[2, 3] < depth * _MAX_DEPTH_RATIO:
             return _placed_by_region(encoded, solution.T_cam_obj[:3, :3], depth, model)
         return PoseEstimate(
             T_cam_obj=solution.T_cam_obj,
@@ -169,32 +177,3 @@ def _placed_by_region(
         keypoint_covariance=np.tile(spread, (len(model.keypoints), 1, 1)),
         rois=[encoded.roi],
     )
-
-
-def solve_pnp(encoded: EncodedView, keypoints: np.ndarray) -> PnpResult:
-    """The pose that explains a view's votes for keypoints (9, 3)."""
-    return uncertainty_pnp(keypoints, encoded.pixels, encoded.pixel_covariance, encoded.view.K)
-
-
-def first_view(views: Sequence[View]) -> View:
-    """The reference view.
-
-    Raises:
-        ValueError: if there is none.
-    """
-    if len(views) == 0:
-        raise ValueError("estimate needs at least one view, the reference view first; got none")
-    return views[0]
-
-
-def check_rois(rois: Sequence[Roi], views: Sequence[View]) -> Sequence[Roi]:
-    """Returns the regions of interest.
-
-    Raises:
-        ValueError: if there is not one for each view.
-    """
-    if len(rois) != len(views):
-        raise ValueError(
-            f"rois must have one region for each of the {len(views)} views, got {len(rois)}"
-        )
-    return rois

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import torch
 
-from .nearest_rotation import project_to_rotation
+from .nearest_rotation import project_to_so3
 from .three_point import three_point_fits
 
 
@@ -68,7 +68,7 @@ class SoftRansacResult:
 def soft_ransac(
     model_points: torch.Tensor,
     predicted: torch.Tensor,
-    config: SoftRansacConfig | None = None,
+    config: SoftRansacConfig = SoftRansacConfig(),
     weights: torch.Tensor | None = None,
 ) -> SoftRansacResult:
     """Averages all three-point poses, each by its soft inlier count.
@@ -79,13 +79,12 @@ def soft_ransac(
     Args:
         model_points: keypoints in the object's frame, (K, 3) or (B, K, 3), metres.
         predicted: the same keypoints in the camera's frame, (B, K, 3), metres.
-        config: scoring; the paper's if None.
+        config: scoring; the paper's by default.
         weights: how much each keypoint counts in the scores, (B, K), not negative; 1 if None.
 
     Raises:
         ValueError: if shapes do not match, or all keypoints of a model lie on one line.
     """
-    config = SoftRansacConfig() if config is None else config
     model_points, predicted = check_points(model_points, predicted)
     with torch.autocast(predicted.device.type, enabled=False):
         hypotheses = three_point_fits(model_points, predicted)
@@ -93,7 +92,7 @@ def soft_ransac(
             gamma.to(predicted).reshape(-1, 1, 1) if isinstance(gamma, torch.Tensor) else gamma
             for gamma in (config.gamma1, config.gamma2)
         )
-        inliers = (gamma1 * (gamma2 - hypotheses.misses())).sigmoid()
+        inliers = (gamma1 * (gamma2 - hypotheses.residuals())).sigmoid()
         if weights is not None:
             inliers = inliers * weights.to(inliers.dtype)[..., None]
         scores = inliers.sum(dim=1)
@@ -101,10 +100,10 @@ def soft_ransac(
         # softmax(p log s) = s^p / sum s^p. Degenerate triples come last: a pose that has no others
         # still has a finite answer.
         powers = config.sharpness * (scores + 1e-12).log()
-        alpha = powers.masked_fill(hypotheses.unusable, -1e4).softmax(dim=-1)
+        alpha = powers.masked_fill(hypotheses.degenerate, -1e4).softmax(dim=-1)
         # A rotation turns about the model's centroid, which stays where the hypotheses put it.
         mean_rotation, place = hypotheses.average(alpha)
-        rotation = project_to_rotation(mean_rotation)
+        rotation = project_to_so3(mean_rotation)
         translation = place - (rotation @ hypotheses.triangles.centre[..., None])[..., 0]
     return SoftRansacResult(rotation, translation, alpha)
 
@@ -136,7 +135,7 @@ def kabsch(
         covariance = (shares * (predicted - centroid[:, None])).transpose(1, 2) @ (
             model_points - model_centroid[:, None]
         )
-        rotation = project_to_rotation(covariance)
+        rotation = project_to_so3(covariance)
         translation = centroid - (rotation @ model_centroid[..., None])[..., 0]
     return rotation, translation
 

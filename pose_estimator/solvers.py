@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from .geometry import make_transform
-from .nearest_rotation import project_to_rotation
+from .nearest_rotation import project_to_so3
 from .soft_ransac import SoftRansacConfig, check_points, kabsch, soft_ransac
 from .three_point import three_point_fits
 
@@ -27,7 +27,7 @@ SOLVER_INLIER = 0.2
 SOLVER_SHARPNESS = 4.0
 """How much Soft RANSAC leans towards its best hypotheses."""
 
-_TRUSTED = 0.01
+_MIN_STD = 0.01
 """Standard deviation in diameters below which no keypoint is trusted more than another."""
 
 
@@ -124,7 +124,7 @@ def _weights(predicted: Tensor, covariance: Tensor, diameter: float | Tensor) ->
             f"got shape {tuple(covariance.shape)}"
         )
     variance = covariance.detach().diagonal(dim1=-2, dim2=-1).mean(dim=-1)
-    floor = torch.as_tensor(_TRUSTED * diameter, dtype=variance.dtype, device=variance.device)
+    floor = torch.as_tensor(_MIN_STD * diameter, dtype=variance.dtype, device=variance.device)
     weights = 1 / (variance.clamp_min(0) + floor.square().reshape(-1, 1))
     return weights / weights.mean(dim=-1, keepdim=True)
 
@@ -137,13 +137,13 @@ def _hard_ransac(
     with torch.autocast(predicted.device.type, enabled=False):
         hypotheses = three_point_fits(model_points, predicted)
         with torch.no_grad():
-            distances = hypotheses.misses()
+            distances = hypotheses.residuals()
             limit = torch.as_tensor(threshold, dtype=distances.dtype, device=distances.device)
             limit = limit.reshape(-1, 1, 1)
             inliers = distances < limit
             # Of two triples with as many inliers, the better fit: its share is less than one.
             misfit = torch.minimum(distances / limit, distances.new_ones(())).square().mean(dim=1)
-            worst = 1e4 * hypotheses.unusable
+            worst = 1e4 * hypotheses.degenerate
             best = (inliers.sum(dim=1) - misfit - worst).argmax(dim=-1)
             chosen = torch.nn.functional.one_hot(best, distances.shape[-1]).to(predicted.dtype)
         agreeing = (inliers & chosen[:, None].bool()).any(dim=-1).to(predicted.dtype)
@@ -152,7 +152,7 @@ def _hard_ransac(
         )
         enough = agreeing.sum(dim=-1) >= 3
         rotation, place = hypotheses.average(chosen)
-        rotation = project_to_rotation(rotation)
+        rotation = project_to_so3(rotation)
         centre = hypotheses.triangles.centre[..., None]
         triple = rotation, place - (rotation @ centre)[..., 0]
         return RigidMotions(

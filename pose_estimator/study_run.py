@@ -7,10 +7,12 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
-from . import NEEDED_PARTS, load
 from .bop_pairs import PAIRS_FILE
 from .device import resolve_device
+from .loading import load
+from .methods import METHOD_TABLE
 from .networks import PoseNetworks
+from .parts import PARTS
 from .results import commit
 from .study import OUTCOME_FORMAT, Estimator, StudySet, run_unit
 from .study_config import CompareConfig
@@ -85,14 +87,14 @@ class Study:
         wanted = [(method, DEFAULT_WEIGHTS, self.config.weights) for method in self.config.methods]
         wanted += [("mid", training, path) for training, path in self.other_weights().items()]
         for method, training, weights in wanted:
-            part = NEEDED_PARTS.get(method)
             trained = load_networks(weights, resolve_device(device)).trained
-            if part is None or part in trained:
+            missing = [part for part in METHOD_TABLE[method].parts if part not in trained]
+            if not missing:
                 loaded[method, training] = load(method, weights, device=device, threads=threads)
                 continue
             reason = (
-                f"the weights {weights!r} lack the trained part {part!r}; "
-                f"train-estimator --stages {part} --init {weights} adds it"
+                f"the weights {weights!r} lack the trained part {missing[0]!r}; "
+                f"train-estimator --stages {missing[0]} --init {weights} adds it"
             )
             print(f"{method} is not available: {reason}")
             self.records.append(
@@ -141,7 +143,7 @@ def networks_of(estimator: Estimator) -> PoseNetworks:
 
 def networks_digest(networks: PoseNetworks, method: str) -> str:
     """A digest of the weights, those that only other methods need left out."""
-    others = {part for name, part in NEEDED_PARTS.items() if name != method}
+    others = set(PARTS) - set(METHOD_TABLE[method].parts)
     sha = hashlib.sha256()
     for name, value in networks.state_dict().items():
         if name.split(".")[0] not in others and not name.endswith("num_batches_tracked"):

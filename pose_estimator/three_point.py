@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import torch
 
-_FLATTEST_MODEL_TRIANGLE = 0.02
+_MIN_MODEL_HEIGHT = 0.02
 """Height over longest side below which a model triple counts as collinear."""
 
-_FLATTEST_PREDICTED_TRIANGLE = 0.01
+_MIN_PREDICTED_AREA = 0.01
 """Area over the model triangle's area below which a predicted triple says nothing of rotation."""
 
 
@@ -57,7 +57,7 @@ class Hypotheses(NamedTuple):
         centroids: of the predicted triangles, from ``origin``, (3, B, H).
         origin: (B, 1, 3).
         points: the predicted keypoints from ``origin``, (B, K, 3).
-        unusable: triples that say nothing of rotation, (B, H); their motions are finite, no more.
+        degenerate: triples that say nothing of rotation, (B, H); their motions are finite, no more.
         triangles: of the model.
     """
 
@@ -65,10 +65,10 @@ class Hypotheses(NamedTuple):
     centroids: torch.Tensor
     origin: torch.Tensor
     points: torch.Tensor
-    unusable: torch.Tensor
+    degenerate: torch.Tensor
     triangles: _Triangles
 
-    def misses(self) -> torch.Tensor:
+    def residuals(self) -> torch.Tensor:
         """Distance in metres of every keypoint from where every triple puts it, (B, K, H)."""
         points = torch.cat([self.points] * 3)
         axes = self.axes.flatten(1, 2).transpose(0, 1)  # (3 B, 3, H)
@@ -114,16 +114,16 @@ def three_point_fits(model_points: torch.Tensor, predicted: torch.Tensor) -> Hyp
     sums = _sums(points, triangles.sums)
     cross = _cross(sums[0], sums[1])
     doubled_area = (cross * cross).sum(dim=0)
-    unusable = doubled_area <= triangles.smallest
+    degenerate = doubled_area <= triangles.smallest
     # Those stay as they are: what has no direction has no gradient of it either, not even NaN.
-    normal = cross * doubled_area.masked_fill(unusable, 1.0).rsqrt()
+    normal = cross * doubled_area.masked_fill(degenerate, 1.0).rsqrt()
     # In the plane, with points as complex numbers, the best turn is along sum b conj(a); a quarter
     # turn is a cross product with the normal.
     quarter = _cross(torch.cat([normal, normal[:2]]), sums[2:4])
     turn, across = sums[2, :3] - quarter[1], sums[3, :3] + quarter[0]
-    scale = (turn * turn).sum(dim=0).masked_fill(unusable, 1.0).rsqrt()
+    scale = (turn * turn).sum(dim=0).masked_fill(degenerate, 1.0).rsqrt()
     axes = torch.stack([turn * scale, across * scale, normal], dim=1)
-    return Hypotheses(axes, sums[4, :3], origin, points, unusable, triangles)
+    return Hypotheses(axes, sums[4, :3], origin, points, degenerate, triangles)
 
 
 def _sums(points: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
@@ -165,7 +165,7 @@ def _find_triangles(points: torch.Tensor) -> _Triangles:
     cross = torch.linalg.cross(edge_a, edge_b, dim=-2)
     area = cross.norm(dim=-2)
     longest = torch.stack([edge_a, edge_b, edge_b - edge_a]).square().sum(dim=-2).amax(dim=0)
-    flat = (area < _FLATTEST_MODEL_TRIANGLE * longest) | (longest <= 0)
+    flat = (area < _MIN_MODEL_HEIGHT * longest) | (longest <= 0)
     if flat.all(dim=-1).any():
         raise ValueError(
             "model_points lie on one line (or in one point): they do not determine a rotation"
@@ -196,7 +196,7 @@ def _find_triangles(points: torch.Tensor) -> _Triangles:
     shares = torch.cat([shares, last]).mT.contiguous()
     return _Triangles(
         sums=torch.stack(torch.broadcast_tensors(*alike)),
-        smallest=torch.where(flat, torch.inf, (_FLATTEST_PREDICTED_TRIANGLE * area).square()),
+        smallest=torch.where(flat, torch.inf, (_MIN_PREDICTED_AREA * area).square()),
         coordinates=coordinates if points.ndim == 3 else coordinates[:, None],
         shares=shares if points.ndim == 3 else shares.repeat(3, 1, 1),
         centre=centre,

@@ -15,18 +15,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from .geometry import check_intrinsics, check_rigid, invert
-from .pnp import projection_jacobian, whiteners
+from .reprojection import Rig, whiteners
 
-NEAREST = 0.05
-"""Least depth in metres of a point in every view, where the views allow it."""
+MIN_DEPTH = 0.05
+"""Depth in metres of a point in every view at least, where the views allow it."""
 
-FARTHEST = 10.0
+MAX_DEPTH = 10.0
 """Largest depth in metres: a table-top scene has nothing further."""
 
 _NOMINAL_DEPTH = 1.0
 """Depth in metres at which a point is put if its rays do not say."""
 
-PRIOR = 10.0
+PRIOR_STD = 10.0
 """Standard deviation in metres of what is known of a point before it is seen."""
 
 _ITERATIONS = 8
@@ -56,50 +56,23 @@ def triangulate(
     pixels = np.asarray(pixels, dtype=np.float64)
     covariances = np.asarray(covariances, dtype=np.float64)
     cameras, T_view_first = check_cameras(pixels, covariances, Ks, T_cam_world)
-    views, count = pixels.shape[:2]
-    white = whiteners(pixels.reshape(-1, 2), covariances.reshape(-1, 2, 2))
-    problem = _Rig(
+    problem = _PointRig(
         pixels=np.nan_to_num(pixels, posinf=0.0, neginf=0.0),
-        whiteners=white.reshape(views, count, 2, 2),
-        cameras=cameras,
-        rotations=T_view_first[:, :3, :3],
-        translations=T_view_first[:, :3, 3],
+        whiteners=whiteners(pixels, covariances),
+        Ks=cameras,
+        T_view_first=T_view_first,
     )
-    points = _start(problem, T_view_first)
+    points = _start(problem)
     points = _refine(problem, points)
     _, information = problem.normal_equations(points)
     # The second part keeps what rounding would make singular.
-    least = 1 / PRIOR**2 + 1e-13 * np.trace(information, axis1=1, axis2=2)
+    least = 1 / PRIOR_STD**2 + 1e-13 * np.trace(information, axis1=1, axis2=2)
     return points, np.linalg.inv(information + least[:, None, None] * np.eye(3))
 
 
 @dataclass(frozen=True, eq=False)
-class _Rig:
-    """V cameras that look at N points; everything in the frame of the first.
-
-    Attributes:
-        pixels: (V, N, 2).
-        whiteners: (V, N, 2, 2), W^T W = Sigma^-1, or zero where a view does not see a point.
-        cameras: (V, 3, 3), camera matrices.
-        rotations: (V, 3, 3), first camera to each.
-        translations: (V, 3), metres.
-    """
-
-    pixels: np.ndarray
-    whiteners: np.ndarray
-    cameras: np.ndarray
-    rotations: np.ndarray
-    translations: np.ndarray
-
-    def in_views(self, points: np.ndarray) -> np.ndarray:
-        """Points (N, 3) in each camera's frame, (V, N, 3)."""
-        return points @ self.rotations.transpose(0, 2, 1) + self.translations[:, None]
-
-    def residuals(self, seen: np.ndarray) -> np.ndarray:
-        """Whitened reprojection errors (V, N, 2) of points in the cameras' frames."""
-        depth = np.maximum(seen[..., 2:], 1e-3)  # a point behind a camera costs, and stays finite
-        uv = (seen @ self.cameras.transpose(0, 2, 1))[..., :2] / depth
-        return (self.whiteners @ (uv - self.pixels)[..., None])[..., 0]
+class _PointRig(Rig):
+    """Every point on its own: squared Mahalanobis errors, without a Huber weight."""
 
     def cost(self, points: np.ndarray) -> np.ndarray:
         """Squared Mahalanobis error of each point, (N,).
@@ -107,36 +80,22 @@ class _Rig:
         It is infinite for a point out of the depth range of a camera that sees it.
         """
         seen = self.in_views(points)
-        out = ((seen[..., 2] < NEAREST) | (seen[..., 2] > FARTHEST)) & self.sees
+        out = ((seen[..., 2] < MIN_DEPTH) | (seen[..., 2] > MAX_DEPTH)) & self.sees
         return np.where(out.any(axis=0), np.inf, (self.residuals(seen) ** 2).sum(axis=(0, 2)))
-
-    @property
-    def sees(self) -> np.ndarray:
-        """Which view has a usable pixel of which point, (V, N)."""
-        return np.any(self.whiteners, axis=(2, 3))
 
     def normal_equations(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gradient (N, 3) and Gauss-Newton matrix (N, 3, 3)."""
         seen = self.in_views(points)
-        seen[..., 2] = np.maximum(seen[..., 2], 1e-3)
-        jacobian = np.stack(
-            [
-                white @ projection_jacobian(view, K) @ rotation
-                for white, view, K, rotation in zip(
-                    self.whiteners, seen, self.cameras, self.rotations, strict=True
-                )
-            ]
-        )
-        residuals = self.residuals(seen)
+        jacobian, residuals = self.jacobians(seen), self.residuals(seen)
         gradient = np.einsum("vnij,vni->nj", jacobian, residuals)
         return gradient, np.einsum("vnij,vnik->njk", jacobian, jacobian)
 
 
-def _start(rig: _Rig, T_view_first: np.ndarray) -> np.ndarray:
+def _start(rig: _PointRig) -> np.ndarray:
     """Least-squares intersection of the rays, (N, 3); parallel rays stop at the nominal depth."""
-    T_first_view = invert(T_view_first)
+    T_first_view = invert(rig.T_view_first)
     homogeneous = np.concatenate([rig.pixels, np.ones_like(rig.pixels[..., :1])], axis=-1)
-    rays = homogeneous @ np.linalg.inv(rig.cameras).transpose(0, 2, 1)
+    rays = homogeneous @ np.linalg.inv(rig.Ks).transpose(0, 2, 1)
     rays = rays @ T_first_view[:, :3, :3].transpose(0, 2, 1)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     centres = T_first_view[:, None, :3, 3]
@@ -157,7 +116,7 @@ def _start(rig: _Rig, T_view_first: np.ndarray) -> np.ndarray:
         tries = np.stack(
             [
                 _at_depth(rig, rays, centres, depth)
-                for depth in np.geomspace(0.1, 0.9 * FARTHEST, 16)
+                for depth in np.geomspace(0.1, 0.9 * MAX_DEPTH, 16)
             ]
         )
         costs = np.stack([rig.cost(candidate) for candidate in tries])
@@ -167,23 +126,23 @@ def _start(rig: _Rig, T_view_first: np.ndarray) -> np.ndarray:
     return points
 
 
-def _at_depth(rig: _Rig, rays: np.ndarray, centres: np.ndarray, depth: float) -> np.ndarray:
+def _at_depth(rig: _PointRig, rays: np.ndarray, centres: np.ndarray, depth: float) -> np.ndarray:
     """Points (N, 3) at a distance along the ray of the first view that has a usable pixel."""
     first = rig.sees.argmax(axis=0)
     index = np.arange(rays.shape[1])
     points = centres[first, 0] + depth * rays[first, index]
-    points[:, 2] = np.maximum(points[:, 2], NEAREST)
+    points[:, 2] = np.maximum(points[:, 2], MIN_DEPTH)
     return points
 
 
-def _refine(rig: _Rig, points: np.ndarray) -> np.ndarray:
+def _refine(rig: _PointRig, points: np.ndarray) -> np.ndarray:
     """Levenberg-Marquardt of all points at once; none gets worse, or behind a camera."""
     cost = rig.cost(points)
     damping = np.full(len(points), 1e-6)
     for _ in range(_ITERATIONS):
         gradient, information = rig.normal_equations(points)
         # Scaled by the diagonal, with an absolute part for directions that nothing constrains.
-        diagonal = damping[:, None] * np.einsum("nii->ni", information) + 1 / PRIOR**2
+        diagonal = damping[:, None] * np.einsum("nii->ni", information) + 1 / PRIOR_STD**2
         step = -np.linalg.solve(
             information + diagonal[:, :, None] * np.eye(3), gradient[..., None]
         )[..., 0]

@@ -1,7 +1,7 @@
 """What all fusions of two (or more) views share: where to look, and to look twice.
 
 The object is found in all views together. The views are fused; the fused pose crops every view
-anew; and the second votes are fused again. How the views are fused is the method's own.
+again; and the second votes are fused again. How the views are fused is the method's own.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .estimate import PoseEstimate, Roi, roi_of_pose, upright_turn
+from .estimate import PoseEstimate, Roi, roi_of_pose, upright_roll
 from .frontend import EncodedView, Target, merge_votes
 from .geometry import invert
 from .single_view import Request, SingleViewEstimator
 from .solvers import solve_pose
 from .symmetry import keypoint_permutations
 
-_TURNS = (0.0, -0.2, 0.2)
-"""Turns in radians of the crops of the second look, from the one that shows the object upright."""
+_ROLLS = (0.0, -0.2, 0.2)
+"""Rotations in radians of the second pass's crops, from the one with the object upright."""
 
-_LARGEST_TURN = 1.5
-"""Largest turn in radians of a crop of the second look."""
+_MAX_ROLL = 1.5
+"""Largest rotation in radians of a crop of the second pass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,15 +53,15 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
         sightings = self.encode_views(requests, rois)
         answers = [sighting.first for sighting in sightings]
         several = [n for n, sighting in enumerate(sightings) if len(sighting.encoded) > 1]
-        fused = self.fuse_twice([sightings[n] for n in several])
+        fused = self.fuse_and_refine([sightings[n] for n in several])
         for n, answer in zip(several, fused, strict=True):
             answers[n] = answer
         return answers
 
-    def fuse_twice(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
+    def fuse_and_refine(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
         """Fuses views, and then what they show where the fused poses say the objects are."""
         fused = self.fuse(sightings)
-        again = self.look_again(
+        again = self.refine(
             [replace(s, first=pose) for s, pose in zip(sightings, fused, strict=True)]
         )
         return [
@@ -128,7 +128,7 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
             sightings.append(Sighting(views, name, self.from_one_view(views[0], name)))
         return sightings
 
-    def look_again(self, sightings: Sequence[Sighting]) -> list[Sighting]:
+    def refine(self, sightings: Sequence[Sighting]) -> list[Sighting]:
         """Crops every view where a first fusion says the object is, and votes once more.
 
         The detector misjudges the size of a region by some ten percent; a fused pose does not. A
@@ -136,7 +136,7 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
         the new crops it stands upright. And a network's errors differ a little from crop to crop:
         the votes of several are averaged.
         """
-        targets, turns = [], []
+        targets, rolls = [], []
         for sighting in sightings:
             model = self.networks.objects[sighting.object_name]
             T_ref_world = sighting.encoded[0].view.T_cam_world
@@ -144,19 +144,19 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
                 T = seen.view.T_cam_world @ invert(T_ref_world) @ sighting.first.T_cam_obj
                 scale = self.networks.features.config.roi_scale
                 roi = roi_of_pose(T, seen.view.K, model.diameter, scale, seen.roi.score)
-                upright = upright_turn(T, seen.view.K)
-                upright = seen.turn if upright is None else upright
-                upright = float(np.clip(upright, -_LARGEST_TURN, _LARGEST_TURN))
+                upright = upright_roll(T, seen.view.K)
+                upright = seen.roll if upright is None else upright
+                upright = float(np.clip(upright, -_MAX_ROLL, _MAX_ROLL))
                 targets.append(Target(seen.view, self.index(sighting.object_name), roi))
-                turns.append([upright + turn for turn in _TURNS])
-        crops = iter(self.frontend.encode_turned(targets, turns))
+                rolls.append([upright + roll for roll in _ROLLS])
+        crops = iter(self.frontend.encode_rotated(targets, rolls))
         again = []
         for sighting in sightings:
             model = self.networks.objects[sighting.object_name]
             permutations = keypoint_permutations(model.keypoints, model.symmetries)
             views = []
             for seen in sighting.encoded:
-                upright_crop, *turned = next(crops)
-                views.append(merge_votes(upright_crop, [*turned, seen], permutations))
+                upright_crop, *rotated = next(crops)
+                views.append(merge_votes(upright_crop, [*rotated, seen], permutations))
             again.append(replace(sighting, encoded=views))
         return again

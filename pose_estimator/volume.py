@@ -2,7 +2,7 @@
 
 The volume's axes are parallel to the reference camera's and it is centred on a guess of the
 object's centre. Each voxel takes the features that its projections find in the views (outside a
-picture: a learned initial value); a 3D CNN turns them into one distribution over the voxels for
+image: a learned initial value); a 3D CNN turns them into one distribution over the voxels for
 each keypoint, and a keypoint is the distribution's expectation. A coarse volume finds the object,
 a fine one inside it finds the keypoints.
 
@@ -22,10 +22,10 @@ from torch.nn import functional as F
 
 from .features import KEYPOINTS
 
-_EVIDENCE_FLOOR = 1e-3
+_MIN_EVIDENCE = 1e-3
 """What a voxel far from a vote keeps of its probability: a vote may be wrong."""
 
-_VOXEL_DEVIATION = 0.4
+_VOXEL_STD = 0.4
 """Standard deviation in voxels that a voxel's extent adds to a vote."""
 
 
@@ -168,7 +168,7 @@ class Volume(nn.Module):
             parts += [evidence[:, 0], evidence[:, 1:].sum(1)]
         x = torch.cat(parts, 1)
         x = x.reshape(*x.shape[:2], count, count, count)
-        x = self.output(self.trunk(as_convolved(x)))
+        x = self.output(self.trunk(to_conv_layout(x)))
         with torch.autocast(centre.device.type, enabled=False):
             logits = x.reshape(*x.shape[:2], -1).float()
             if evidence is not None:
@@ -211,7 +211,7 @@ class VolumeNet(nn.Module):
         return [coarse, self.fine(views, centre, self.config.fine, diameter)]
 
 
-def as_convolved(x: Tensor) -> Tensor:
+def to_conv_layout(x: Tensor) -> Tensor:
     """A volume (B, C, N, N, N) laid out and rounded as the convolutions want it, in one pass."""
     device = x.device.type
     reduced = torch.is_autocast_enabled(device)
@@ -270,7 +270,7 @@ def lift(
         + 2 * precision[..., 0, 1, None] * x * y
         + precision[..., 1, 1, None] * y * y
     )
-    evidence = torch.log(torch.exp(-0.5 * distance) + _EVIDENCE_FLOOR)
+    evidence = torch.log(torch.exp(-0.5 * distance) + _MIN_EVIDENCE)
     return sampled, evidence.to(sampled.dtype)
 
 
@@ -283,5 +283,5 @@ def _footprint(projection: Tensor, centre: Tensor, cell_size: Tensor) -> Tensor:
     depth = uvw[..., 2:].clamp(min=0.05)
     pixel = uvw[..., :2] / depth
     rows = projection[..., :2, :3] - pixel.unsqueeze(-1) * projection[..., 2:, :3]
-    jacobian = rows * (_VOXEL_DEVIATION * cell_size[:, None, None] / depth).unsqueeze(-1)
+    jacobian = rows * (_VOXEL_STD * cell_size[:, None, None] / depth).unsqueeze(-1)
     return jacobian @ jacobian.transpose(-1, -2)

@@ -22,6 +22,15 @@ import torch
 if TYPE_CHECKING:
     from .features import Features2D
 
+_HYPOTHESES = 64
+"""Pairs of pixels drawn for each keypoint."""
+
+_INLIER_COSINE = 0.99
+"""A pixel votes for a point if its direction and the point's have at least this cosine."""
+
+_MAX_PIXELS = 256
+"""Pixels that take part, drawn without replacement in proportion to weight."""
+
 _HYPOTHESIS_POWER = 6
 """Proposals weigh (votes)**power in the covariance: the far intersection of a bad pair must not."""
 
@@ -31,7 +40,7 @@ _PRIOR_ANGLE = 0.1
 _PRIOR_PIXELS = 8.0
 """How many pixels' worth of evidence the prior is; also what a few pixels are short of."""
 
-_FLOOR = 0.05
+_MIN_STD = 0.05
 """Least standard deviation of a keypoint, in grid pixels."""
 
 
@@ -51,15 +60,7 @@ class Votes:
 
 
 @torch.no_grad()
-def vote_keypoints(
-    directions: torch.Tensor,
-    weights: torch.Tensor,
-    *,
-    hypotheses: int = 64,
-    inlier_cosine: float = 0.99,
-    max_pixels: int = 256,
-    seed: int = 0,
-) -> Votes:
+def vote_keypoints(directions: torch.Tensor, weights: torch.Tensor) -> Votes:
     """Votes for each keypoint; no gradient.
 
     The same inputs give the same votes, wherever in a batch they stand: all crops share the same
@@ -68,12 +69,7 @@ def vote_keypoints(
     Args:
         directions: (B, K, 2, H, W), from each pixel towards each keypoint, (x, y); their length
             does not matter.
-        weights: how surely each pixel belongs to the object, (B, H, W), or how far it is to be
-            trusted for each keypoint, (B, K, H, W); not negative, 0 = not at all.
-        hypotheses: pairs drawn for each keypoint.
-        inlier_cosine: a pixel votes for a point if its direction is at least this near to it.
-        max_pixels: pixels that take part, drawn without replacement in proportion to weight.
-        seed: of the draws.
+        weights: how much each pixel counts for each keypoint, (B, K, H, W); not negative.
 
     Returns:
         Finite votes always. With no pixel at all, the middle of the grid with a covariance of the
@@ -83,11 +79,9 @@ def vote_keypoints(
         ValueError: if shapes do not match.
     """
     batch, count, height, width = _check_shapes(directions, weights)
-    by_pixel, by_pair = _draws(height * width, count, hypotheses, seed, directions.device)
+    by_pixel, by_pair = _draws(height * width, count, directions.device)
     with torch.autocast(directions.device.type, enabled=False):
-        points, lines, weights = _choose_pixels(
-            directions.float(), weights.float(), max_pixels, by_pixel
-        )
+        points, lines, weights = _choose_pixels(directions.float(), weights.float(), by_pixel)
         total = weights.sum(dim=-1)
         middle = points.new_tensor([(width - 1) / 2, (height - 1) / 2])
         extent = float(height**2 + width**2) ** 0.5
@@ -95,9 +89,7 @@ def vote_keypoints(
         proposals, valid = _propose(points, lines, weights, by_pair)
         # Far intersections are noise; where exactly does not matter.
         proposals = middle + (proposals - middle).clamp(-4 * extent, 4 * extent)
-        votes, shares = _count_votes(
-            points - middle, lines, weights, proposals - middle, inlier_cosine
-        )
+        votes, shares = _count_votes(points - middle, lines, weights, proposals - middle)
         shares = shares * valid
 
         score, best = shares.max(dim=-1)
@@ -119,7 +111,7 @@ def vote_keypoints(
         identity = torch.eye(2, dtype=mean.dtype, device=mean.device)
         # Pixels outvoted are evidence against the point, and no votes at all say nothing of it.
         doubt = (1 - score) ** 2 * 0.25 + (total <= 0) * extent**2 + (score <= 0) * extent**2
-        covariance = spread + line_covariance + (doubt[..., None, None] + _FLOOR**2) * identity
+        covariance = spread + line_covariance + (doubt[..., None, None] + _MIN_STD**2) * identity
         covariance = covariance.clamp(-16 * extent**2, 16 * extent**2)
     return Votes(mean, covariance, score)
 
@@ -127,46 +119,44 @@ def vote_keypoints(
 def vote(features: Features2D) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Votes for the keypoints of B crops.
 
-    A pixel's say is its probability to be on the object times how sure its vector is: vectors are
-    trained to unit length, and shrink where the network hesitates between directions.
+    A pixel's weight is its probability to be on the object times the confidence of its vector:
+    vectors are trained to unit length, and shrink where the network hesitates.
 
     Returns:
         mean (B, 9, 2), covariance (B, 9, 2, 2) in pixels of the feature grid, and score (B, 9).
     """
     directions = features.directions.detach().float()
     x, y = directions.unbind(2)
-    sure = (x * x + y * y).clamp(max=1.0)
+    confidence = (x * x + y * y).clamp(max=1.0)
     inside = torch.sigmoid(features.mask_logits.detach().float())
     inside = torch.where(inside > 0.3, inside, torch.zeros_like(inside))
-    votes = vote_keypoints(directions, inside[:, None] * sure)
+    votes = vote_keypoints(directions, inside[:, None] * confidence)
     return votes.mean, votes.covariance, votes.score
 
 
 @lru_cache(maxsize=16)
-def _draws(
-    pixels: int, count: int, hypotheses: int, seed: int, device: torch.device
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Uniform numbers for the draw of pixels (pixels,) and of pairs (K, 2 * hypotheses)."""
-    generator = torch.Generator("cpu").manual_seed(seed)
+def _draws(pixels: int, count: int, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
+    """Uniform numbers for the draw of pixels (pixels,) and of pairs (K, 2 * _HYPOTHESES)."""
+    generator = torch.Generator("cpu").manual_seed(0)
     # What inference mode makes could not take part in a later training.
     with torch.inference_mode(False):
         by_pixel = torch.rand(pixels, generator=generator, device="cpu")
-        by_pair = torch.rand((count, 2 * hypotheses), generator=generator, device="cpu")
+        by_pair = torch.rand((count, 2 * _HYPOTHESES), generator=generator, device="cpu")
         return by_pixel.to(device), by_pair.to(device)
 
 
 def _choose_pixels(
-    directions: torch.Tensor, weights: torch.Tensor, max_pixels: int, uniform: torch.Tensor
+    directions: torch.Tensor, weights: torch.Tensor, uniform: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """At most ``max_pixels`` pixels, the same ones for all keypoints of an object.
+    """At most ``_MAX_PIXELS`` pixels, the same ones for all keypoints of an object.
 
     Returns:
         Their points (B, P, 2), unit directions (B, K, 2, P) and weights (B, K, P).
     """
     batch, count, _, height, width = directions.shape
-    pixels = min(max_pixels, height * width)
+    pixels = min(_MAX_PIXELS, height * width)
     weights = torch.nan_to_num(weights).clamp_min(0).flatten(-2)
-    by_pixel = weights if weights.ndim == 2 else weights.sum(dim=1)
+    by_pixel = weights.sum(dim=1)
     if pixels < height * width:
         # Efraimidis and Spirakis 2006: the largest u^(1/w) are a weighted draw.
         keys = uniform.clamp_min(1e-12).log() / by_pixel.clamp_min(1e-12)
@@ -177,10 +167,7 @@ def _choose_pixels(
     lines = directions.flatten(-2).gather(-1, chosen[:, None, None].expand(batch, count, 2, pixels))
     length = lines.square().sum(dim=2).sqrt()
     lines = torch.nan_to_num(lines / length.clamp_min(1e-12)[:, :, None])
-    if weights.ndim == 2:
-        weights = weights.gather(-1, chosen)[:, None].expand(batch, count, pixels)
-    else:
-        weights = weights.gather(-1, chosen[:, None].expand(batch, count, pixels))
+    weights = weights.gather(-1, chosen[:, None].expand(batch, count, pixels))
     return points, lines, weights * (length > 1e-6)
 
 
@@ -193,16 +180,15 @@ def _propose(
     """Intersections (B, K, N, 2) of random pairs of lines, and which are lines that do meet."""
     batch, count, pixels = weights.shape
     cumulative = weights.cumsum(dim=-1)
-    hypotheses = uniform.shape[-1] // 2
     drawn = torch.searchsorted(cumulative, uniform * cumulative[..., -1:], right=True)
     drawn = drawn.clamp_max(pixels - 1)
     ends = points[:, None].expand(batch, count, pixels, 2)
     ends = ends.gather(2, drawn[..., None].expand(*drawn.shape, 2))
-    ways = lines.gather(-1, drawn[:, :, None].expand(batch, count, 2, 2 * hypotheses))
-    ax, ay = ends[:, :, :hypotheses].unbind(-1)
-    bx, by = ends[:, :, hypotheses:].unbind(-1)
-    ux, uy = ways[..., :hypotheses].unbind(2)
-    vx, vy = ways[..., hypotheses:].unbind(2)
+    ways = lines.gather(-1, drawn[:, :, None].expand(batch, count, 2, 2 * _HYPOTHESES))
+    ax, ay = ends[:, :, :_HYPOTHESES].unbind(-1)
+    bx, by = ends[:, :, _HYPOTHESES:].unbind(-1)
+    ux, uy = ways[..., :_HYPOTHESES].unbind(2)
+    vx, vy = ways[..., _HYPOTHESES:].unbind(2)
     sine = ux * vy - uy * vx
     valid = (sine.abs() > 0.02) & (cumulative[..., -1:] > 0)
     along = ((bx - ax) * vy - (by - ay) * vx) / torch.where(valid, sine, torch.ones_like(sine))
@@ -214,12 +200,11 @@ def _count_votes(
     lines: torch.Tensor,
     weights: torch.Tensor,
     proposals: torch.Tensor,
-    inlier_cosine: float,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Votes (B, K, N, P) as 0 or 1 and the weighted share (B, K, N) that each proposal gets."""
     # A pixel x with direction d votes for h if d . (h - x) >= c |h - x|. Both sides are matrix
     # products, squared with their sign so that no root is taken.
-    square = inlier_cosine**2
+    square = _INLIER_COSINE**2
     across = points.transpose(1, 2)[:, None]
     along = proposals @ lines - (lines * across).sum(dim=2, keepdim=True)
     from_pixel = torch.cat(
@@ -288,10 +273,9 @@ def _check_shapes(directions: torch.Tensor, weights: torch.Tensor) -> tuple[int,
     if directions.ndim != 5 or directions.shape[2] != 2:
         raise ValueError(f"directions must be (B, K, 2, H, W), got shape {tuple(directions.shape)}")
     batch, count, _, height, width = directions.shape
-    allowed = [(batch, height, width), (batch, count, height, width)]
-    if tuple(weights.shape) not in allowed:
+    if weights.shape != (batch, count, height, width):
         raise ValueError(
-            f"weights must be {allowed[0]} or {allowed[1]} to match directions, "
+            f"weights must be {(batch, count, height, width)} to match directions, "
             f"got shape {tuple(weights.shape)}"
         )
     return batch, count, height, width

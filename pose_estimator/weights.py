@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +91,7 @@ def read_header(path: str | Path) -> dict[str, Any]:
         if header["format"] != FORMAT:
             raise ValueError(
                 f"it has format {header['format']} and this version reads {FORMAT}; train "
-                "anew with train-estimator, or use the version that made it"
+                "again with train-estimator, or use the version that made it"
             )
         return header
     except (ValueError, KeyError, TypeError) as error:
@@ -120,7 +120,7 @@ def find_weights(weights: str | Path) -> Path:
     )
 
 
-@cache
+@lru_cache(maxsize=8)
 def _load_cached(path: Path, modified: int, device: torch.device) -> PoseNetworks:
     return read_networks(path).to(device)
 
@@ -128,7 +128,7 @@ def _load_cached(path: Path, modified: int, device: torch.device) -> PoseNetwork
 def load_networks(
     weights: str | Path = "linemod", device: torch.device = torch.device("cpu")
 ) -> PoseNetworks:
-    """Networks in evaluation mode, read once a process for each device.
+    """Networks in evaluation mode; those used last are shared by all who ask for them.
 
     Raises:
         FileNotFoundError, ValueError: see :func:`find_weights` and :func:`read_networks`.
@@ -162,9 +162,14 @@ def read_networks(path: str | Path) -> PoseNetworks:
             for name, entry in header["objects"].items()
         }
         networks = PoseNetworks(objects, config)
-        networks.trained = _trained_parts(header)
+        networks.trained = frozenset(header["trained"])
     except (AttributeError, KeyError, RuntimeError, TypeError) as error:
         raise ValueError(f"the header of {path} does not describe networks: {error}") from error
+    unknown = sorted(networks.trained.difference(PARTS))
+    if unknown:
+        raise ValueError(
+            f"the header says that the parts {unknown} are trained; there are {', '.join(PARTS)}"
+        )
     try:
         tensors = unpack(load_file(path))
     except (SafetensorError, OSError, ValueError) as error:
@@ -190,14 +195,3 @@ def stored_state(networks: PoseNetworks) -> dict[str, Tensor]:
         for name, value in networks.state_dict().items()
         if not name.endswith("num_batches_tracked") and not name.startswith(left_out)
     }
-
-
-def _trained_parts(header: dict[str, Any]) -> frozenset[str]:
-    """What a header says was trained."""
-    trained = header["trained"]
-    unknown = [part for part in trained if part not in PARTS]
-    if unknown:
-        raise ValueError(
-            f"the header says that the parts {unknown} are trained; there are {', '.join(PARTS)}"
-        )
-    return frozenset(trained)

@@ -13,10 +13,10 @@ import pytest
 import tyro
 from PIL import Image
 from scipy.spatial.transform import Rotation
-from two_view_pose import pose_estimator
 from two_view_pose.__main__ import VERBS, find, main
 from two_view_pose.assets import OBJECT_NAMES, load_object
 from two_view_pose.envs import protocol
+from two_view_pose.pose_estimator import loading
 from two_view_pose.pose_estimator.geometry import LINEMOD_K
 
 OPTIONS = {
@@ -178,7 +178,7 @@ WRONG = {
     ),
     "depth of another size": (
         dict(method=lambda i: "rgbd", depth=lambda i: depth_map(i, (240, 320))),
-        "depth must have the picture",
+        "depth must have the image",
     ),
     "depth in metres told as millimetres": (
         {
@@ -235,7 +235,7 @@ def test_estimate_hands_over_the_views_and_draws_the_pose(inputs, monkeypatch, c
     T_cam_obj = np.eye(4)
     T_cam_obj[:3, 3] = 0.05, -0.03, 0.9
     estimator = KnownPose(T_cam_obj)
-    monkeypatch.setattr(pose_estimator, "load", lambda method, weights, device: estimator)
+    monkeypatch.setattr(loading, "load", lambda method, weights, device: estimator)
     assert main(command(inputs.options)) == 0
 
     reference, second = estimator.views
@@ -265,7 +265,7 @@ def test_estimate_hands_over_the_views_and_draws_the_pose(inputs, monkeypatch, c
 
 def test_estimate_from_one_photograph(inputs, monkeypatch):
     estimator = KnownPose(np.eye(4))
-    monkeypatch.setattr(pose_estimator, "load", lambda method, weights, device: estimator)
+    monkeypatch.setattr(loading, "load", lambda method, weights, device: estimator)
     alone = {"second": None, "relative-pose": None, "K": "572.4114,573.57043,325.2611,242.04899"}
     assert main(command(inputs.options | alone)) == 0
     (view,) = estimator.views
@@ -278,7 +278,7 @@ def test_estimate_from_one_photograph(inputs, monkeypatch):
 )
 def test_estimate_from_a_photograph_with_depth(inputs, monkeypatch, suffix, kind):
     estimator = KnownPose(np.eye(4))
-    monkeypatch.setattr(pose_estimator, "load", lambda method, weights, device: estimator)
+    monkeypatch.setattr(loading, "load", lambda method, weights, device: estimator)
     options = {"second": None, "relative-pose": None, "method": "rgbd"}
     options["depth"] = depth_map(inputs, suffix=suffix, kind=kind)
     assert main(command(inputs.options | options)) == 0

@@ -16,7 +16,7 @@ from two_view_pose.pose_estimator.device import has_fast_bfloat16
 from two_view_pose.pose_estimator.features import FeatureConfig
 from two_view_pose.pose_estimator.fused import fused
 from two_view_pose.pose_estimator.processor import number_format
-from two_view_pose.pose_estimator.volume import PRESETS, Volume, VolumeNet, as_convolved
+from two_view_pose.pose_estimator.volume import PRESETS, Volume, VolumeNet, to_conv_layout
 
 from .config import BenchConfig
 from .stopwatch import WARM_UP, Record, seconds
@@ -138,7 +138,7 @@ def volume_run(preset: str, side: int, batch: int) -> Callable[[], Tensor]:
     plain.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
     first = next(m for m in plain.coarse.trunk if isinstance(m, nn.Conv3d))
     with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
-        x = as_convolved(torch.randn(batch, first.in_channels, side, side, side))
+        x = to_conv_layout(torch.randn(batch, first.in_channels, side, side, side))
     network: Any = fused(plain, torch.bfloat16 if bfloat16 else torch.float32)
 
     def run() -> Tensor:

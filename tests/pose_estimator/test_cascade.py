@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import nn
 from torch.nn import functional as F
-from two_view_pose.pose_estimator.cascade import CascadeNet, CascadeViews, compare
+from two_view_pose.pose_estimator.cascade import CascadeNet, CascadeViews, build_cost_volume
 from two_view_pose.pose_estimator.encoder import PYRAMID_CHANNELS
 from two_view_pose.pose_estimator.geometry import grid_matrix, make_transform
 
@@ -142,7 +142,7 @@ def test_the_cost_volume_is_best_at_the_true_depth():
     depth = d / (rays @ n)
     offsets = np.arange(-10, 11) * 0.008
     supposed = torch.from_numpy(depth + offsets[:, None, None]).float()[None]
-    cost = compare(
+    cost = build_cost_volume(
         maps,
         torch.from_numpy(np.stack([K_grid, K_grid])).float()[None],
         torch.from_numpy(np.stack([np.eye(4), T])).float()[None],

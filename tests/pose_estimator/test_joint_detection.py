@@ -5,9 +5,9 @@ import pytest
 from two_view_pose.pose_estimator.estimate import Roi, roi_of_pose
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, make_transform
 from two_view_pose.pose_estimator.joint_detection import (
-    choose_together,
-    misfits,
-    sizes_together,
+    associate_detections,
+    association_costs,
+    refine_roi_scales,
 )
 from votes import camera, view
 
@@ -16,7 +16,7 @@ DIAMETER, SCALE = 0.1, 1.4
 
 def misfit(first: Roi, second: Roi, *views) -> float:
     """Of the best depth along the ray of one region."""
-    return float(misfits([first], [second], *views, DIAMETER, SCALE)[0].min())
+    return float(association_costs([first], [second], *views, DIAMETER, SCALE)[0].min())
 
 
 def seen(place, degrees: float, score: float) -> Roi:
@@ -31,20 +31,20 @@ def test_the_other_view_decides_between_two_peaks():
     here, neighbour = (0.02, 0.03, 0.0), (-0.15, 0.1, 0.0)
     first = [seen(neighbour, 20, 0.8), seen(here, 20, 0.4)]
     second = [seen(here, 60, 0.9)]
-    assert choose_together([first, second], views, DIAMETER, SCALE) == [1, 0]
-    assert choose_together([second, first], views[::-1], DIAMETER, SCALE) == [0, 1]
+    assert associate_detections([first, second], views, DIAMETER, SCALE) == [1, 0]
+    assert associate_detections([second, first], views[::-1], DIAMETER, SCALE) == [0, 1]
 
 
 def test_sure_peaks_are_taken_where_nothing_agrees():
     views = [view(20), view(60)]
     first = [seen((0.2, 0.0, 0.0), 20, 0.9), seen((0.25, -0.1, 0.0), 20, 0.1)]
     second = [seen((0.0, 0.25, 0.0), 60, 0.8), seen((-0.1, 0.3, 0.0), 60, 0.2)]
-    assert choose_together([first, second], views, DIAMETER, SCALE) == [0, 0]
+    assert associate_detections([first, second], views, DIAMETER, SCALE) == [0, 0]
 
 
 def test_one_view_alone_keeps_its_best_peak():
     regions = [seen((0, 0, 0), 20, 0.5), seen((0.1, 0, 0), 20, 0.4)]
-    assert choose_together([regions], [view(20)], DIAMETER, SCALE) == [0]
+    assert associate_detections([regions], [view(20)], DIAMETER, SCALE) == [0]
 
 
 def test_three_views_agree():
@@ -55,7 +55,7 @@ def test_three_views_agree():
         [seen(here, 60, 0.6), seen(neighbour, 60, 0.1)],
         [seen((0.2, -0.1, 0), 100, 0.5), seen(here, 100, 0.4)],
     ]
-    assert choose_together(candidates, views, DIAMETER, SCALE) == [1, 0, 1]
+    assert associate_detections(candidates, views, DIAMETER, SCALE) == [1, 0, 1]
 
 
 @pytest.mark.parametrize("degrees", [22, 60, 150])
@@ -88,21 +88,21 @@ def test_sizes_come_from_where_the_rays_meet():
         Roi(r.centre, f * r.side, r.score) for r, f in zip(true, (1.25, 1.1, 0.8), strict=True)
     ]
     for number in (2, 3):
-        sized = sizes_together(wrong[:number], views[:number], DIAMETER, SCALE)
+        sized = refine_roi_scales(wrong[:number], views[:number], DIAMETER, SCALE)
         for region, told, right in zip(sized, wrong, true, strict=False):
             assert region.side == pytest.approx(right.side, rel=0.05)
             assert region.centre is told.centre and region.score == told.score
-    assert sizes_together(wrong[:1], views[:1], DIAMETER, SCALE) == wrong[:1]
+    assert refine_roi_scales(wrong[:1], views[:1], DIAMETER, SCALE) == wrong[:1]
 
 
 def test_regions_that_do_not_belong_together_keep_their_sizes():
     views = [view(d) for d in (20, 60, 100)]
     regions = [seen((0.2, 0, 0), 20, 0.9), seen((0, 0.25, 0), 60, 0.8)]
-    assert sizes_together(regions, views[:2], DIAMETER, SCALE) == regions
+    assert refine_roi_scales(regions, views[:2], DIAMETER, SCALE) == regions
     # A third view that fits neither leaves the other two to agree.
     pair = [seen((0.0, 0, 0), 20, 0.9), seen((0.0, 0, 0), 60, 0.8)]
     larger = [Roi(r.centre, 1.2 * r.side, r.score) for r in pair]
     odd = Roi(np.array([20.0, 400.0]), 60.0, 0.9)
-    *sized, kept = sizes_together([*larger, odd], views, DIAMETER, SCALE)
+    *sized, kept = refine_roi_scales([*larger, odd], views, DIAMETER, SCALE)
     assert kept is odd
     assert [r.side for r in sized] == pytest.approx([r.side for r in pair], rel=0.05)

@@ -8,7 +8,7 @@ from two_view_pose.pose_estimator.estimate import PoseEstimate
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, View, transform
 from two_view_pose.pose_estimator.late_fusion import LateFusionEstimator
 from two_view_pose.pose_estimator.two_view import Sighting
-from votes import T_WORLD_OBJ, Garbage, PerfectVotes, camera, check_sound, error, view
+from votes import T_WORLD_OBJ, PerfectVotes, camera, check_sound, error, view
 
 
 def estimate(networks, frontend, views, name="brick", solver="soft") -> PoseEstimate:
@@ -18,7 +18,7 @@ def estimate(networks, frontend, views, name="brick", solver="soft") -> PoseEsti
 
 
 @pytest.mark.parametrize("solver", ["soft", "kabsch", "hard"])
-@pytest.mark.parametrize("more", [(65,), (-25,), (21,), (60, -20)])
+@pytest.mark.parametrize("more", [(65,), (21,), (60, -20)])
 def test_perfect_votes_give_the_pose(networks, solver, more):
     views = [view(20), *map(view, more)]
     found = estimate(networks, PerfectVotes(networks), views, solver=solver)
@@ -26,15 +26,6 @@ def test_perfect_votes_give_the_pose(networks, solver, more):
     assert error(found, networks, "brick", 20) < 1e-4
     truth = transform(camera(20) @ T_WORLD_OBJ, networks.objects["brick"].keypoints)
     np.testing.assert_allclose(found.keypoints, truth, atol=1e-5)
-
-
-@pytest.mark.parametrize("twist", [(0, 1), (1, 0), (1, 1), (0, 0)])
-def test_views_that_mean_equivalent_poses_are_reconciled(networks, twist):
-    found = estimate(networks, PerfectVotes(networks, twist), [view(20), view(65)], "crate")
-    check_sound(found, 2)
-    # It is the equivalent that the reference view meant.
-    meant = camera(20) @ T_WORLD_OBJ @ networks.objects["crate"].symmetries[twist[0]]
-    np.testing.assert_allclose(found.T_cam_obj, meant, atol=1e-4)
 
 
 def test_covariance_says_how_far_keypoints_are_off(networks):
@@ -61,11 +52,3 @@ def test_the_relative_pose_is_used(networks):
     first = estimator.from_one_view(encoded[0], "brick")
     [found] = estimator.fuse([Sighting(encoded, "brick", first)])
     assert error(found, networks, "brick", 20) > 0.02
-
-
-def test_garbage_and_views_from_one_place_are_answered(networks):
-    frontend = Garbage(networks)
-    for number in range(8):
-        views = [view(20), view(20 + 6 * number)][: 1 + (number % 3 > 0)]
-        check_sound(estimate(networks, frontend, views, ("brick", "crate")[number % 2]), len(views))
-    check_sound(estimate(networks, PerfectVotes(networks, noise=1.0), [view(20), view(20)]), 2)

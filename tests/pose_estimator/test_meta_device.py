@@ -117,21 +117,22 @@ def test_solvers_make_their_tensors_where_the_keypoints_are(boxes, solver, with_
 
 
 def test_votes_points_and_plane_sweeps_are_made_where_their_inputs_are():
-    directions, weights = torch.randn(2, 9, 2, 16, 16), torch.rand(2, 16, 16)
+    # All pixels take part in the first, a draw of them in the second.
+    fields = [(torch.randn(2, 9, 2, n, n), torch.rand(2, 9, n, n)) for n in (12, 24)]
     K = torch.tensor([[100.0, 0, 15.5], [0, 100, 15.5], [0, 0, 1]]).expand(2, 3, 3)
     depth, mask = 1 + 0.01 * torch.rand(2, 32, 32), torch.ones(2, 8, 8)
     generators = [torch.Generator().manual_seed(n) for n in range(2)]
     diameter, T = torch.full((2,), 0.2), torch.eye(4).expand(2, 4, 4)
     planes, features = torch.rand(2, 5, 32, 32) + 0.5, torch.rand(2, 8, 32, 32)
     with strict_host():
-        for max_pixels in (64, 256):
-            votes = vote_keypoints(directions, weights, max_pixels=max_pixels)
+        for directions, weights in fields:
+            votes = vote_keypoints(directions, weights)
         clouds = [
             sample_points(depth, mask, K, diameter, 32, g) for g in (generators[0], generators)
         ]
-        drawn, inside = sweep(features, K, K, T, planes)
-        alike = group_correlation(features, drawn, 4)
-    found = (votes.mean, votes.covariance, *(c.xyz for c in clouds), drawn, inside, alike)
+        warped, inside = sweep(features, K, K, T, planes)
+        alike = group_correlation(features, warped, 4)
+    found = (votes.mean, votes.covariance, *(c.xyz for c in clouds), warped, inside, alike)
     assert all(part.device.type == "cpu" for part in found)
 
 

@@ -9,23 +9,11 @@ import pytest
 import torch
 from strict_host import strict_host
 from two_view_pose.pose_estimator import inference as inference_module
-from two_view_pose.pose_estimator.early_fusion import EarlyFusionEstimator
 from two_view_pose.pose_estimator.estimate import Roi, roi_of_pose
 from two_view_pose.pose_estimator.geometry import LINEMOD_K, View
-from two_view_pose.pose_estimator.late_fusion import LateFusionEstimator
-from two_view_pose.pose_estimator.mid_fusion import MidFusionEstimator
+from two_view_pose.pose_estimator.methods import METHOD_TABLE
 from two_view_pose.pose_estimator.networks import PoseNetworks
-from two_view_pose.pose_estimator.rgbd import RgbdEstimator
-from two_view_pose.pose_estimator.single_view import SingleViewEstimator
 from votes import T_WORLD_OBJ, camera
-
-METHODS = {
-    "single": SingleViewEstimator,
-    "early": EarlyFusionEstimator,
-    "late": LateFusionEstimator,
-    "mid": MidFusionEstimator,
-    "rgbd": RgbdEstimator,
-}
 
 
 class InThisThread:
@@ -71,15 +59,15 @@ def visible(networks: PoseNetworks) -> PoseNetworks:
     return networks
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", METHOD_TABLE)
 @pytest.mark.parametrize("told", [False, True])
 def test_every_tensor_is_made_on_the_device(networks, here, method, told):
     networks = visible(networks)
     asked = requests(2)
     rois = regions(networks, asked) if told else None
-    expected = METHODS[method](networks).estimate_batch(asked, rois)
+    expected = METHOD_TABLE[method].estimator_class()(networks).estimate_batch(asked, rois)
     with strict_host():
-        found = METHODS[method](networks).estimate_batch(requests(2), rois)
+        found = METHOD_TABLE[method].estimator_class()(networks).estimate_batch(requests(2), rois)
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one.T_cam_obj, other.T_cam_obj)
         np.testing.assert_array_equal(one.keypoint_covariance, other.keypoint_covariance)
@@ -87,12 +75,12 @@ def test_every_tensor_is_made_on_the_device(networks, here, method, told):
 
 @pytest.mark.cuda
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA GPU")
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", METHOD_TABLE)
 def test_a_gpu_answers(networks, method):
     networks = visible(networks)
     asked = requests(3)
     rois = regions(networks, asked)
-    found = METHODS[method](networks.to("cuda")).estimate_batch(asked, rois)
+    found = METHOD_TABLE[method].estimator_class()(networks.to("cuda")).estimate_batch(asked, rois)
     for answer in found:
         assert np.isfinite(answer.T_cam_obj).all()
         assert np.allclose(answer.T_cam_obj[:3, :3] @ answer.T_cam_obj[:3, :3].T, np.eye(3))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
-from two_view_pose.pose_estimator.nearest_rotation import project_to_rotation
+from two_view_pose.pose_estimator.nearest_rotation import project_to_so3
 
 
 def by_singular_values(matrices: np.ndarray) -> np.ndarray:
@@ -18,9 +18,9 @@ def test_is_that_of_singular_values():
     rng = np.random.default_rng(0)
     matrices = rng.normal(size=(5, 40, 3, 3))  # half of them turn left into right
     assert 60 < (np.linalg.det(matrices) < 0).sum() < 140
-    found = project_to_rotation(torch.from_numpy(matrices))
+    found = project_to_so3(torch.from_numpy(matrices))
     np.testing.assert_allclose(found, by_singular_values(matrices), atol=1e-9)
-    single = project_to_rotation(torch.from_numpy(matrices).float())
+    single = project_to_so3(torch.from_numpy(matrices).float())
     assert np.median(np.abs(single.numpy() - found.numpy())) < 1e-6
 
 
@@ -29,15 +29,13 @@ def test_planes_are_enough():
     rng = np.random.default_rng(1)
     rotations = Rotation.random(50, rng=rng).as_matrix()
     matrices = rotations @ np.diag([0.3, 0.1, 0.0])
-    np.testing.assert_allclose(
-        project_to_rotation(torch.from_numpy(matrices)), rotations, atol=1e-9
-    )
+    np.testing.assert_allclose(project_to_so3(torch.from_numpy(matrices)), rotations, atol=1e-9)
 
 
 def test_always_a_rotation():
     """Where nothing is nearest: no size, one direction only, a point reflection."""
     line = torch.outer(torch.tensor([0.0, 0.6, 0.8]), torch.tensor([1.0, 0.0, 0.0]))
-    found = project_to_rotation(torch.stack([torch.zeros(3, 3), line, -torch.eye(3)]))
+    found = project_to_so3(torch.stack([torch.zeros(3, 3), line, -torch.eye(3)]))
     torch.testing.assert_close(found @ found.mT, torch.eye(3).expand(3, 3, 3))
     torch.testing.assert_close(torch.linalg.det(found), torch.ones(3))
     torch.testing.assert_close((found[1] * line).sum(), torch.tensor(1.0))
@@ -48,4 +46,4 @@ def test_gradient_at_equal_singular_values():
         [torch.eye(3), 0.5 * torch.eye(3), torch.diag(torch.tensor([2.0, 1, -0.1]))]
     )
     matrices = matrices.double().requires_grad_()
-    assert torch.autograd.gradcheck(project_to_rotation, matrices, atol=1e-5)
+    assert torch.autograd.gradcheck(project_to_so3, matrices, atol=1e-5)

@@ -71,41 +71,41 @@ def test_features_are_drawn_from_where_the_view_shows_the_point():
     middle = pixels[0, 4, 10, 10]
     shifted = inputs[1].clone()
     shifted[0, :2, 2] += 20 - middle  # the crop now shows the sweep's middle
-    drawn, inside = sweep(ramp[None], inputs[0], shifted, inputs[2], supposed)
+    warped, inside = sweep(ramp[None], inputs[0], shifted, inputs[2], supposed)
     pixels, _ = sweep_pixels(inputs[0], shifted, inputs[2], supposed)
     within = ((pixels >= 0) & (pixels <= 39)).all(-1)
     assert torch.equal(inside, within) and 0.2 < float(within.float().mean()) < 0.95
-    assert torch.allclose(drawn[0].movedim(0, -1)[within[0]], pixels[within], atol=1e-3)
+    assert torch.allclose(warped[0].movedim(0, -1)[within[0]], pixels[within], atol=1e-3)
 
 
 def test_points_behind_the_other_camera_are_not_seen():
     behind = make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 0.3]))
     features = torch.ones(1, 2, 8, 8)
-    drawn, inside = sweep(features, *tensors(K_REF, K_REF, behind), torch.full((1, 1, 8, 8), 0.9))
-    assert not inside.any() and torch.isfinite(drawn).all()
+    warped, inside = sweep(features, *tensors(K_REF, K_REF, behind), torch.full((1, 1, 8, 8), 0.9))
+    assert not inside.any() and torch.isfinite(warped).all()
 
 
 def test_gradients_reach_the_features_and_not_the_depth():
     features = torch.rand(1, 2, 8, 8, requires_grad=True)
     supposed = torch.full((1, 1, 8, 8), 0.9, requires_grad=True)
     same = tensors(K_REF, K_REF, np.eye(4))
-    drawn, inside = sweep(features, *same, supposed)
+    warped, inside = sweep(features, *same, supposed)
     assert inside[..., 1:-1, 1:-1].all()
-    drawn.sum().backward()
-    # Seen from the same place every feature is drawn where it was.
-    assert torch.allclose(drawn[:, :, 0], features, atol=1e-3)
+    warped.sum().backward()
+    # Seen from the same place every feature is warped where it was.
+    assert torch.allclose(warped[:, :, 0], features, atol=1e-3)
     assert torch.allclose(features.grad, torch.ones(1, 2, 8, 8), atol=1e-3)
     assert supposed.grad is None
 
 
 def test_group_correlation_is_the_mean_product_of_a_group():
     rng = np.random.default_rng(0)
-    reference, drawn = rng.normal(size=(2, 6, 3, 3)), rng.normal(size=(2, 6, 4, 3, 3))
-    found = group_correlation(torch.from_numpy(reference), torch.from_numpy(drawn).float(), 2)
+    reference, warped = rng.normal(size=(2, 6, 3, 3)), rng.normal(size=(2, 6, 4, 3, 3))
+    found = group_correlation(torch.from_numpy(reference), torch.from_numpy(warped).float(), 2)
     assert found.shape == (2, 2, 4, 3, 3)
     for sample, group, plane, row, column in np.ndindex(*found.shape):
         channels = slice(3 * group, 3 * group + 3)
         expected = (
-            reference[sample, channels, row, column] * drawn[sample, channels, plane, row, column]
+            reference[sample, channels, row, column] * warped[sample, channels, plane, row, column]
         ).mean()
         assert float(found[sample, group, plane, row, column]) == pytest.approx(expected, abs=1e-5)

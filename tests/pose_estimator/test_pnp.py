@@ -14,11 +14,8 @@ from two_view_pose.pose_estimator.geometry import (
     project,
     transform,
 )
-from two_view_pose.pose_estimator.pnp import (
-    keypoints_covariance,
-    projection_jacobian,
-    uncertainty_pnp,
-)
+from two_view_pose.pose_estimator.pnp import keypoints_covariance, uncertainty_pnp
+from two_view_pose.pose_estimator.reprojection import projection_jacobian
 
 MODEL = np.vstack([np.random.default_rng(0).uniform(-0.07, 0.07, (8, 3)), np.zeros((1, 3))])
 

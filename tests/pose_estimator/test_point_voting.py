@@ -1,4 +1,4 @@
-"""Votes in space: what the consensus keeps, and what the network may and may not depend on."""
+"""Votes in space: what the robust_mean keeps, and what the network may and may not depend on."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from two_view_pose.pose_estimator.point_voting import (
     PointConfig,
     PointMaps,
     PointVotingNet,
-    consensus,
+    robust_mean,
 )
 
 DIAMETER = torch.tensor([0.2, 0.1])
@@ -26,7 +26,7 @@ def agree(votes, log_error=None, valid=None):
     votes = torch.from_numpy(votes)
     log_error = torch.zeros(votes.shape[:3]) if log_error is None else log_error
     valid = torch.ones(votes.shape[:2], dtype=torch.bool) if valid is None else valid
-    mean, covariance = consensus(votes, log_error.double(), valid, DIAMETER.double())
+    mean, covariance = robust_mean(votes, log_error.double(), valid, DIAMETER.double())
     return mean.numpy(), covariance.numpy()
 
 

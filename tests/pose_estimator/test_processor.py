@@ -1,7 +1,7 @@
 """The processor in words."""
 
 import pytest
-from two_view_pose.pose_estimator import processor
+from two_view_pose.pose_estimator import cores, processor
 from two_view_pose.pose_estimator.cores import available_cores
 
 
@@ -12,7 +12,7 @@ def cpuinfo(tmp_path, monkeypatch):
     def pretend(model: str, flags: str) -> None:
         core = f"processor\t: 0\nmodel name\t: {model}\nflags\t\t: fpu {flags}\n"
         (tmp_path / "cpuinfo").write_text(f"{core}\n{core}")
-        monkeypatch.setattr(processor, "_CPUINFO", tmp_path / "cpuinfo")
+        monkeypatch.setattr(cores, "_CPUINFO", tmp_path / "cpuinfo")
         processor.processor_name.cache_clear()
         processor.instructions.cache_clear()
 
@@ -36,7 +36,7 @@ def test_model_and_widest_instructions(cpuinfo, flags, expected):
 
 
 def test_without_a_cpuinfo_there_is_still_a_name(tmp_path, monkeypatch):
-    monkeypatch.setattr(processor, "_CPUINFO", tmp_path / "none")
+    monkeypatch.setattr(cores, "_CPUINFO", tmp_path / "none")
     processor.processor_name.cache_clear()
     assert processor.processor_name()
     processor.processor_name.cache_clear()

@@ -53,6 +53,7 @@ class Votes2D:
             to_image=np.linalg.inv(to_grid),
             volume=torch.zeros(config.volume_channels, config.grid, config.grid),
             decoder=torch.zeros(config.width, config.grid, config.grid),
+            maps=(),
             vote_mean=project(transform(T_CAM_OBJ, model.keypoints), K_grid),
             vote_covariance=np.tile(np.eye(2) * 0.04, (9, 1, 1)),
             vote_score=np.ones(9),
@@ -62,7 +63,7 @@ class Votes2D:
     def encode(self, targets) -> list[EncodedView]:
         return [self.encode_view(*target) for target in targets]
 
-    def encode_turned(self, targets, turns) -> list[list[EncodedView]]:
+    def encode_rotated(self, targets, turns) -> list[list[EncodedView]]:
         return [[self.encode_view(*t)] * len(own) for t, own in zip(targets, turns, strict=True)]
 
 
@@ -106,8 +107,7 @@ def depth(boxes) -> np.ndarray:
 
 @pytest.fixture
 def estimator(networks: PoseNetworks) -> RgbdEstimator:
-    networks = copy.copy(networks)
-    networks._modules = dict(networks._modules)
+    networks = copy.deepcopy(networks)
     networks.points = FitsCentre(networks.objects)
     estimator = RgbdEstimator(networks)
     estimator.frontend = Votes2D(networks)

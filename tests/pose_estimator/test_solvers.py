@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from two_view_pose.pose_estimator import three_point
 from two_view_pose.pose_estimator.solvers import SOLVERS, solve, solve_pose
 
 DIAMETER = 0.2
@@ -190,8 +189,9 @@ def test_one_object_in_arrays(solver):
 
 
 def test_estimating_first_does_not_spoil_training():
-    three_point._corners.cache_clear()
     model, truth, _ = scene(9)
+    # Ten keypoints: no other test has left anything in the caches.
+    model, truth = (np.concatenate([a, a[..., :1, :] + 0.05], -2) for a in (model, truth))
     with torch.inference_mode():
         run(model, truth, "soft")
     points = torch.from_numpy(truth).requires_grad_()

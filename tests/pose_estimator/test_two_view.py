@@ -7,15 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from two_view_pose.pose_estimator.agreement import agree, explain, joint_pose
-from two_view_pose.pose_estimator.estimate import PoseEstimate, Roi, roi_of_pose, upright_turn
+from two_view_pose.pose_estimator.agreement import (
+    fit_multi_view_pose,
+    joint_pose,
+    resolve_symmetry_ambiguity,
+)
+from two_view_pose.pose_estimator.estimate import PoseEstimate, Roi, roi_of_pose, upright_roll
 from two_view_pose.pose_estimator.geometry import (
     LINEMOD_K,
     View,
     make_transform,
     project,
+    rotation_matrix_2d,
     transform,
-    turn_matrix,
 )
 from two_view_pose.pose_estimator.late_fusion import LateFusionEstimator
 from two_view_pose.pose_estimator.mid_fusion import MidFusionEstimator
@@ -102,7 +106,7 @@ def test_votes_are_renumbered_to_the_references(networks):
     model = networks.objects["crate"]
     frontend = PerfectVotes(networks, (0, 1, 1))
     encoded = [frontend.encode_view(view(degrees), 1) for degrees in (20, 65, -10)]
-    agreed, points = agree(encoded, model)
+    agreed, points = resolve_symmetry_ambiguity(encoded, model)
     truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
     np.testing.assert_allclose(points, truth, atol=1e-4)
     for seen, degrees in zip(agreed, (20, 65, -10), strict=True):
@@ -183,12 +187,14 @@ def test_points_in_space_and_votes_are_weighed_by_their_covariances(networks):
     depths = []
     for deviation in (1.0, 1e-4):
         points = SpacePoints(deeper, np.tile(np.eye(3) * deviation**2, (9, 1, 1)))
-        T = explain(encoded, model, [first.T_cam_obj], points)
+        T = fit_multi_view_pose(encoded, model, [first.T_cam_obj], points)
         depths.append(transform(T, model.keypoints)[-1, 2] - truth[-1, 2])
     assert depths[0] == pytest.approx(0.0, abs=1e-4)
     assert depths[1] == pytest.approx(0.02, abs=1e-3)
     with pytest.raises(ValueError, match="points must be"):
-        explain(encoded, model, [first.T_cam_obj], SpacePoints(deeper[:8], np.ones((8, 3, 3))))
+        fit_multi_view_pose(
+            encoded, model, [first.T_cam_obj], SpacePoints(deeper[:8], np.ones((8, 3, 3)))
+        )
 
 
 def test_wrong_calls_are_refused(networks):
@@ -206,14 +212,14 @@ def test_wrong_calls_are_refused(networks):
 def test_an_upright_turn_makes_the_axis_point_up(roll):
     T = rolled(roll) @ camera(35) @ T_WORLD_OBJ
     ends = project(transform(T, np.array([[0, 0, 0], [0, 0, 1e-4]])), LINEMOD_K)
-    along = turn_matrix(upright_turn(T, LINEMOD_K), 128)[:2, :2] @ (ends[1] - ends[0])
+    along = rotation_matrix_2d(upright_roll(T, LINEMOD_K), 128)[:2, :2] @ (ends[1] - ends[0])
     assert along[1] < 0 and abs(along[0]) < 1e-3 * abs(along[1])
 
 
 def test_an_axis_towards_the_camera_has_no_upright():
     above = make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 0.8]))
-    assert upright_turn(above, LINEMOD_K) is None
-    assert upright_turn(make_transform(np.eye(3), np.array([0.0, 0, -0.5])), LINEMOD_K) is None
+    assert upright_roll(above, LINEMOD_K) is None
+    assert upright_roll(make_transform(np.eye(3), np.array([0.0, 0, -0.5])), LINEMOD_K) is None
 
 
 def rolled(angle: float) -> np.ndarray:
@@ -226,15 +232,15 @@ def test_the_second_look_shows_the_object_upright(networks, roll):
     asked = []
 
     class Turned(PerfectVotes):
-        def encode_turned(self, targets, turns):
+        def encode_rotated(self, targets, turns):
             asked.extend(map(tuple, turns))
-            return super().encode_turned(targets, turns)
+            return super().encode_rotated(targets, turns)
 
     views = [replace(view(d), T_cam_world=rolled(roll) @ camera(d)) for d in (20, 70)]
     estimator = LateFusionEstimator(networks)
     estimator.frontend = Turned(networks)
     found = estimator.estimate(views, "brick")
-    upright = upright_turn(found.T_cam_obj, LINEMOD_K)
+    upright = upright_roll(found.T_cam_obj, LINEMOD_K)
     assert asked[0][0] == pytest.approx(np.clip(upright, -1.5, 1.5), abs=0.1)
     assert asked[0][0] == pytest.approx(max(-roll, -1.5), abs=0.1)
     assert min(asked[0]) == asked[0][0] - 0.2 and max(asked[0]) == asked[0][0] + 0.2
@@ -245,15 +251,15 @@ def test_where_upright_has_no_meaning_the_turn_of_the_first_look_is_kept(network
 
     class Turned(PerfectVotes):
         def encode_view(self, view, index, roi=None):
-            return replace(super().encode_view(view, index, roi), turn=0.5 * self.calls)
+            return replace(super().encode_view(view, index, roi), roll=0.5 * self.calls)
 
-        def encode_turned(self, targets, turns):
+        def encode_rotated(self, targets, turns):
             asked.extend(own[0] for own in turns)
-            return super().encode_turned(targets, turns)
+            return super().encode_rotated(targets, turns)
 
     estimator = LateFusionEstimator(networks)
     estimator.frontend = Turned(networks)
     [sighting] = estimator.encode_views([([view(20)], "brick")])
     above = make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 0.9]))
-    estimator.look_again([replace(sighting, first=replace(sighting.first, T_cam_obj=above))])
+    estimator.refine([replace(sighting, first=replace(sighting.first, T_cam_obj=above))])
     assert asked == [0.5]

@@ -72,13 +72,15 @@ class PerfectVotes:
             K_grid=to_grid @ view.K,
             to_image=np.linalg.inv(to_grid),
             volume=torch.zeros(config.volume_channels, config.grid, config.grid),
+            decoder=torch.zeros(config.width, config.grid, config.grid),
+            maps=(),
             vote_mean=votes + self.rng.normal(0, 1, votes.shape) * self.noise,
             vote_covariance=np.tile(np.eye(2) * max(self.noise, 0.2) ** 2, (9, 1, 1)),
             vote_score=np.ones(9),
             mask=np.ones((config.grid, config.grid)),
         )
 
-    def encode_turned(self, targets, turns) -> list[list[EncodedView]]:
+    def encode_rotated(self, targets, turns) -> list[list[EncodedView]]:
         return [[self.encode_view(*t)] * len(own) for t, own in zip(targets, turns, strict=True)]
 
 

@@ -1,0 +1,83 @@
+"""The one table of estimation methods: a new one is one file and one row here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .single_view import SingleViewEstimator
+
+
+@dataclass(frozen=True)
+class Method:
+    """How a pose is estimated.
+
+    Attributes:
+        name: as commands and :func:`load` take it.
+        summary: one line.
+        views: how many views it uses, 1 or 2; one of 2 uses further views too.
+        needs_depth: whether the reference view must have a sensor's depth map.
+        parts: the networks that it runs, of ``parts.PARTS``.
+        estimator: its class, ``module:Class`` in this package.
+        color: of its curve in plots.
+        marker: of its points in plots, as Matplotlib names them.
+    """
+
+    name: str
+    summary: str
+    views: int
+    needs_depth: bool
+    parts: tuple[str, ...]
+    estimator: str
+    color: str
+    marker: str
+
+    def estimator_class(self) -> type[SingleViewEstimator]:
+        """The class behind ``estimator``; imports torch."""
+        module, name = self.estimator.split(":")
+        found: Any = getattr(import_module(f".{module}", __package__), name)
+        return found
+
+
+METHOD_TABLE = {
+    method.name: method
+    for method in (
+        Method(
+            "single", "one view", 1, False, ("detector", "features"),
+            "single_view:SingleViewEstimator", "#7a7f87", "v",
+        ),
+        Method(
+            "early", "a depth map from two views", 2, False, ("detector", "features", "cascade"),
+            "early_fusion:EarlyFusionEstimator", "#e69f00", "s",
+        ),
+        Method(
+            "late", "triangulated votes of two views", 2, False, ("detector", "features"),
+            "late_fusion:LateFusionEstimator", "#56a4d9", "D",
+        ),
+        Method(
+            "mid", "Mid-Fusion of two views", 2, False, ("detector", "features", "volume"),
+            "mid_fusion:MidFusionEstimator", "#c8401e", "o",
+        ),
+        Method(
+            "rgbd", "one view and a depth sensor", 1, True, ("detector", "features", "points"),
+            "rgbd:RgbdEstimator", "#1b8a5a", "^",
+        ),
+    )
+}  # fmt: skip
+"""The methods by name."""
+
+METHODS = tuple(METHOD_TABLE)
+"""Names of the methods."""
+
+
+def find_method(name: str) -> Method:
+    """The method of a name.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    if name not in METHOD_TABLE:
+        raise ValueError(f"unknown method {name!r}; there are {', '.join(METHODS)}")
+    return METHOD_TABLE[name]
