@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from .bop_boxes import bounding_box
-from .bop_raw import RawScene
-from .data_findings import Finding, Findings, Place, Severity
+from .bop_fields import Place
+from .bop_scene import Scene
+from .data_findings import Finding, Findings, Severity
 
 SLACK = 3
 """Pixels by which boxes may differ: some count the last column, others the distance to it."""
@@ -18,7 +19,7 @@ ANEW = "compute scene_gt_info.json anew (bop_toolkit: calc_gt_info.py)"
 CORNERS = "it holds corners (left, top, right, bottom); BOP has left, top, width, height"
 
 
-def check_info(scene: RawScene, size: tuple[int, int] | None, findings: Findings) -> None:
+def check_info(scene: Scene, size: tuple[int, int] | None, findings: Findings) -> None:
     """Checks the numbers of all annotations against each other and the picture's size (H, W)."""
     rows = scene.annotations
     if not rows.described:
@@ -31,7 +32,7 @@ def check_info(scene: RawScene, size: tuple[int, int] | None, findings: Findings
         values = columns.get(field, getattr(rows, field, rows.visibility))
         for row in np.flatnonzero(wrong).tolist():
             detail = str(np.round(values[row], 3).tolist())
-            place = rows.place(scene.scene_id, row)
+            place = scene.place(row)
             findings.add(
                 Finding(
                     severity, scene.info_path, field, problem, place=place, detail=detail, **more
@@ -65,7 +66,7 @@ def check_info(scene: RawScene, size: tuple[int, int] | None, findings: Findings
         )  # fmt: skip
 
 
-def _check_box(scene: RawScene, size: tuple[int, int], complain: Callable[..., None]) -> None:
+def _check_box(scene: Scene, size: tuple[int, int], complain: Callable[..., None]) -> None:
     """Visible boxes must lie in the picture."""
     height, width = size
     box = scene.annotations.bbox_visib

@@ -6,17 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from .bop_fields import ROTATION_TOLERANCE, rotation_errors
-from .bop_raw import RawScene
-from .bop_raw_fields import read_numbers, read_raw_json
-from .data_findings import Finding, Findings, Place, Severity
+from .bop_fields import ROTATION_TOLERANCE, Place, read_json, read_numbers, rotation_errors
+from .bop_scene import Scene
+from .data_findings import Finding, Findings, Severity
 from .geometry import check_intrinsics
 
 MIDDLE = (0.25, 0.75)
 """Where, in shares of the picture's sides, a principal point is not worth a question."""
 
 
-def check_cameras(scene: RawScene, size: tuple[int, int] | None, findings: Findings) -> None:
+def check_cameras(scene: Scene, size: tuple[int, int] | None, findings: Findings) -> None:
     """Checks all camera matrices of a scene; equal ones are one finding a picture all the same.
 
     Args:
@@ -122,11 +121,11 @@ def _explain(K: np.ndarray, size: tuple[int, int]) -> tuple[str, str]:
 def read_camera_size(root: Path, findings: Findings) -> tuple[int, int] | None:
     """Height and width that ``camera.json`` says; None where there is none."""
     path = root / "camera.json"
-    content = read_raw_json(path, dict, findings) if path.is_file() else None
+    content = read_json(path, dict, findings.error) if path.is_file() else None
     if content is None:
         return None
     names = ("height", "width", "fx", "fy", "cx", "cy")
-    values = [read_numbers([content], n, 1, path, [Place()], findings)[0, 0] for n in names]
+    values = [read_numbers([content], n, 1, path, [Place()], findings.error)[0, 0] for n in names]
     if np.isnan(values[:2]).any():
         return None
     return int(values[0]), int(values[1])

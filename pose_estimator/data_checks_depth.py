@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .bop_raw_models import RawModel
-from .data_findings import Findings, Place
+from .bop_fields import Place
+from .data_findings import Findings
+from .data_models import CheckedModel
 from .geometry import transform
 
 STEPS = (1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3)
@@ -49,7 +50,7 @@ class DepthCheck:
         place: Place,
         depth: np.ndarray,
         mask: np.ndarray,
-        model: RawModel,
+        model: CheckedModel,
         T_cam_obj: np.ndarray,
     ) -> None:
         """Measures one annotation.

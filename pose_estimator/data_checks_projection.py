@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .bop_raw_models import RawModel
-from .data_findings import Findings, Place
+from .bop_fields import Place
+from .data_findings import Findings
+from .data_models import CheckedModel
 from .geometry import project, transform
 from .pose_mistakes import Correction, corrections
 from .projection_score import Evidence
@@ -60,7 +61,7 @@ class Projection:
     camera_path: Path
     mask_path: Path | None
     picture: Path
-    model: RawModel
+    model: CheckedModel
     T_cam_obj: np.ndarray
     K: np.ndarray
     evidence: Evidence

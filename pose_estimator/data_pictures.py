@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,24 @@ WRITTEN = "#ff3b30"
 CORRECTED = "#ffd60a"
 
 
-def choose(wrong: Iterable[Projection], count: int) -> list[Projection]:
+def draw_overlays(wrong: Iterable[Projection], folder: Path, count: int) -> list[Path]:
+    """Writes at most ``count`` overlays into a folder; returns their paths.
+
+    Raises:
+        ValueError: if an image cannot be decoded.
+        OSError: if a file cannot be read or written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for projection in _choose(wrong, count):
+        place, split = projection.place, projection.gt_path.parent.parent.name
+        name = f"{split}_{place.scene:06d}_{place.image:06d}_{place.annotation:02d}.png"
+        _draw(projection, folder / name)
+        paths.append(folder / name)
+    return paths
+
+
+def _choose(wrong: Iterable[Projection], count: int) -> list[Projection]:
     """At most ``count`` projections, of as many causes and objects as there are, the best seen."""
     groups: dict[tuple[str, int], list[Projection]] = {}
     for p in sorted(wrong, key=lambda p: -np.nan_to_num(p.evidence.visibility)):
@@ -33,15 +51,11 @@ def choose(wrong: Iterable[Projection], count: int) -> list[Projection]:
     return chosen[:count]
 
 
-def draw(projection: Projection, path: Path) -> None:
+def _draw(projection: Projection, path: Path) -> None:
     """Writes one overlay as a PNG.
 
     Left the model as the files put it, right as it is when the cause is undone, where one was
     found; in both what the mask, or without one the box, says.
-
-    Raises:
-        ValueError: if the picture cannot be read.
-        OSError: if a file cannot be read or written.
     """
     from matplotlib.figure import Figure
 
@@ -67,18 +81,11 @@ def draw(projection: Projection, path: Path) -> None:
         panel.set(xlim=frame[0], ylim=frame[1], xticks=[], yticks=[])
         panel.legend(loc="lower right", fontsize=9, framealpha=0.85)
     where = f"{projection.place}, object {projection.model.obj_id}"
-    reason = _wrapped(cause.cause) if cause else "no common mistake explains it"
+    reason = textwrap.fill(cause.cause, 90) if cause else "no common mistake explains it"
     figure.suptitle(f"{where}\n{reason}", fontsize=12)
     content = io.BytesIO()
     figure.savefig(content, format="png")
     write_atomically(path, content.getvalue())
-
-
-def file_name(projection: Projection) -> str:
-    """A name that says where the annotation stands."""
-    place = projection.place
-    split = projection.gt_path.parent.parent.name
-    return f"{split}_{place.scene:06d}_{place.image:06d}_{place.annotation:02d}.png"
 
 
 def _draw_evidence(panel: Any, projection: Projection) -> None:
@@ -113,9 +120,3 @@ def _frame(projection: Projection) -> tuple[tuple[float, float], tuple[float, fl
     centre = np.minimum(centre, np.maximum((width, height) - np.array(side) / 2, side / 2))
     (left, top), (right, bottom) = centre - side / 2, centre + side / 2
     return (left - 0.5, min(right, width) - 0.5), (min(bottom, height) - 0.5, top - 0.5)
-
-
-def _wrapped(text: str) -> str:
-    import textwrap
-
-    return "\n".join(textwrap.wrap(text, 90))
