@@ -10,7 +10,7 @@ import numpy as np
 from .bop_boxes import bounding_box
 from .bop_fields import Place
 from .bop_scene import Scene
-from .data_findings import Finding, Findings, Severity
+from .data_findings import Findings, Severity
 
 SLACK = 3
 """Pixels by which boxes may differ: some count the last column, others the distance to it."""
@@ -28,16 +28,11 @@ def check_info(scene: Scene, size: tuple[int, int] | None, findings: Findings) -
     def complain(
         wrong: np.ndarray, severity: Severity, field: str, problem: str, **more: str
     ) -> None:
-        columns = {"visib_fract": rows.visibility, "px_count_visib": rows.px_count_visib}
-        values = columns.get(field, getattr(rows, field, rows.visibility))
+        values = rows.visibility if field == "visib_fract" else getattr(rows, field)
+        add = findings.error if severity == "error" else findings.warning
         for row in np.flatnonzero(wrong).tolist():
             detail = str(np.round(values[row], 3).tolist())
-            place = scene.place(row)
-            findings.add(
-                Finding(
-                    severity, scene.info_path, field, problem, place=place, detail=detail, **more
-                )
-            )
+            add(scene.info_path, field, problem, place=scene.place(row), detail=detail, **more)
 
     with np.errstate(invalid="ignore"):
         fraction = rows.visibility

@@ -14,7 +14,7 @@ from .bop_scene import Scene
 from .data_checks_boxes import check_mask
 from .data_checks_cameras import check_size
 from .data_checks_depth import DepthCheck
-from .data_checks_projection import FAIR, GOOD, LEAST_PIXELS, LEAST_VISIBLE, Projection
+from .data_checks_projection import FAIR, GOOD, MIN_PIXELS, MIN_VISIBLE, Projection
 from .data_findings import Findings
 from .data_models import CheckedModel
 from .geometry import check_intrinsics
@@ -122,8 +122,8 @@ class PictureCheck:
         if score < GOOD:
             self.suspects.append(projection)
         if score >= FAIR and depth is not None and mask is not None:
-            paths = scene.camera_path, scene.depths[int(rows.image_id[row])]
-            self.depth.add(paths, place, depth, mask, model, T)
+            depth_path = scene.depths[int(rows.image_id[row])]
+            self.depth.add(scene.camera_path, depth_path, place, depth, mask, model, T)
         return score
 
     def _depth(
@@ -182,10 +182,10 @@ def _evidence(
     """What is known of where an object is, if it is enough to judge by."""
     rows = scene.annotations
     visible = float(rows.visibility[row])
-    if visible < LEAST_VISIBLE:
+    if visible < MIN_VISIBLE:
         return None
     if mask is not None:
-        return Evidence.of_mask(mask, visible) if mask.sum() >= LEAST_PIXELS else None
+        return Evidence.of_mask(mask, visible) if mask.sum() >= MIN_PIXELS else None
     for given, amodal in ((rows.bbox_obj[row], True), (rows.bbox_visib[row], False)):
         if not np.isnan(given).any() and (given[2:] > 0).all() and given[2] * given[3] >= 60:
             box = np.concatenate([given[:2], given[:2] + given[2:]])
