@@ -133,7 +133,9 @@ def read_entries(path: Path, report: Report = refuse) -> dict[int, BopPair]:
     )
     return {
         number: BopPair(
-            *(int(value) for value in ids[number]),
+            scene_id=int(ids[number, 0]),
+            ref_image_id=int(ids[number, 1]),
+            second_image_id=int(ids[number, 2]),
             T_second_ref=T[number],
             baselines_deg=_baselines(entry.get("baselines_deg"), path, number, report),
             target_obj_id=entry.get("target_obj_id"),

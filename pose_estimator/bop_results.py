@@ -121,15 +121,15 @@ def read_bop_results(
     )
     results = []
     for i, row in enumerate(rows):
-        place = f"{path}, {places[i]}"
+        where = f"{path}, {places[i]}"
         scene_id, image_id, obj_id = (
-            _integer(row[name], f"{place}: {name}") for name in ("scene_id", "im_id", "obj_id")
+            _integer(row[name], f"{where}: {name}") for name in ("scene_id", "im_id", "obj_id")
         )
         if images is not None:
-            _check_known(scene_id, images, f"{place}: scene_id", "scenes")
-            _check_known(image_id, images[scene_id], f"{place}: im_id", f"scene {scene_id}")
+            _check_known(scene_id, images, f"{where}: scene_id", "scenes")
+            _check_known(image_id, images[scene_id], f"{where}: im_id", f"scene {scene_id}")
         if obj_ids is not None:
-            _check_known(obj_id, obj_ids, f"{place}: obj_id", "objects")
+            _check_known(obj_id, obj_ids, f"{where}: obj_id", "objects")
         numbers = scene_id, image_id, obj_id
         results.append(BopResult(*numbers, float(score[i]), T_cam_obj[i], float(seconds[i])))
     return tuple(results)

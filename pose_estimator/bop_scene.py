@@ -159,7 +159,9 @@ def _read_annotations(
     path, info_path = folder / "scene_gt.json", folder / "scene_gt_info.json"
     keys = _whole(poses, path, scene_id, report)
     infos = read_json(info_path, dict, report) if info_path.exists() else None
-    places, gt, info = [], [], []
+    places: list[Place] = []
+    gt: list[Any] = []
+    info: list[Any] = []
     for image_id in sorted(keys):
         entries, place = poses[keys[image_id]], Place(scene_id, image_id)
         if not isinstance(entries, list):
