@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from .data_checks_projection import Projection
 from .input_files import read_image
 from .overlay import outline
+from .projection_score import Evidence
 from .results import write_atomically
 
 MASK = "#19d3f3"
@@ -42,13 +44,8 @@ def _choose(wrong: Iterable[Projection], count: int) -> list[Projection]:
     groups: dict[tuple[str, int], list[Projection]] = {}
     for p in sorted(wrong, key=lambda p: -np.nan_to_num(p.evidence.visibility)):
         groups.setdefault((p.cause.name if p.cause else "", p.model.obj_id), []).append(p)
-    chosen: list[Projection] = []
-    while groups and len(chosen) < count:
-        for key in list(groups):
-            chosen.append(groups[key].pop(0))
-            if not groups[key]:
-                del groups[key]
-    return chosen[:count]
+    turns = zip_longest(*groups.values())
+    return [p for turn in turns for p in turn if p is not None][:count]
 
 
 def _draw(projection: Projection, path: Path) -> None:
@@ -65,11 +62,12 @@ def _draw(projection: Projection, path: Path) -> None:
         readings.append(("as corrected", CORRECTED, cause.T_cam_obj, cause.K))
     figure = Figure(figsize=(6 * len(readings), 5.4), dpi=100, layout="constrained")
     panels = figure.subplots(1, len(readings), squeeze=False)[0]
-    frame = _frame(projection)
-    for panel, (title, colour, T, K) in zip(panels, readings, strict=True):
+    shape = projection.evidence.shape
+    outlines = [outline(projection.model, T, K, shape) for _, _, T, K in readings]
+    frame = _frame(projection.evidence, [c for found in outlines for c in found])
+    for panel, contours, (title, colour, T, K) in zip(panels, outlines, readings, strict=True):
         panel.imshow(picture)
-        _draw_evidence(panel, projection)
-        contours = outline(projection.model, T, K, projection.evidence.shape)
+        _draw_evidence(panel, projection.evidence)
         for contour in contours:
             closed = np.concatenate([contour, contour[:1]])
             panel.plot(*closed.T, color="black", linewidth=3.5)
@@ -88,9 +86,8 @@ def _draw(projection: Projection, path: Path) -> None:
     write_atomically(path, content.getvalue())
 
 
-def _draw_evidence(panel: Any, projection: Projection) -> None:
+def _draw_evidence(panel: Any, evidence: Evidence) -> None:
     """The mask as a tint, or the box."""
-    evidence = projection.evidence
     left, top, right, bottom = evidence.box
     if evidence.mask is not None:
         tint = evidence.mask[..., None] * np.array([0.1, 0.83, 0.95, 0.55])
@@ -103,16 +100,13 @@ def _draw_evidence(panel: Any, projection: Projection) -> None:
         panel.plot(*corners, color=MASK, linewidth=2, linestyle="--", label=label)
 
 
-def _frame(projection: Projection) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The part of the picture to show: all that is drawn, with air, and no less than a quarter."""
-    height, width = projection.evidence.shape
-    boxes = [projection.evidence.box]
-    poses = [(projection.T_cam_obj, projection.K)]
-    if projection.cause is not None:
-        poses.append((projection.cause.T_cam_obj, projection.cause.K))
-    for T, K in poses:
-        for contour in outline(projection.model, T, K, (height, width)):
-            boxes.append(np.concatenate([contour.min(axis=0), contour.max(axis=0)]))
+def _frame(
+    evidence: Evidence, contours: Sequence[np.ndarray]
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The part of the image to show: all that is drawn, with air, and no less than a quarter."""
+    height, width = evidence.shape
+    boxes = [np.concatenate([contour.min(axis=0), contour.max(axis=0)]) for contour in contours]
+    boxes.append(evidence.box)
     stacked = np.clip(np.stack(boxes), 0, (width, height) * 2)
     low, high = stacked[:, :2].min(axis=0), stacked[:, 2:].max(axis=0)
     side = min(max(1.4 * max(high - low), width / 4), max(width, height))
