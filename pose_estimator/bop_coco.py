@@ -11,13 +11,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from .bop_boxes import bounding_box
-from .bop_fields import read_json, required
+from .bop_fields import read_json
 from .bop_targets import LEAST_VISIBLE
 from .bop_writer import write_json
+from .input_files import read_image
 
 COCO_FILE = "scene_gt_coco.json"
 
@@ -36,16 +36,14 @@ def write_coco(folder: Path, obj_ids: Iterable[int]) -> None:
         ValueError: if a file of the scene is missing or broken.
     """
     poses = read_json(folder / "scene_gt.json", dict)
-    info_path = folder / "scene_gt_info.json"
-    infos = read_json(info_path, dict)
+    infos = read_json(folder / "scene_gt_info.json", dict)
     pictures = {int(path.stem): path for path in (folder / "rgb").iterdir()}
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for key in sorted(poses, key=int):
         image_id = int(key)
         shape: tuple[int, ...] | None = None
-        described = required(infos, key, str(info_path))
-        for i, (pose, info) in enumerate(zip(poses[key], described, strict=True)):
+        for i, (pose, info) in enumerate(zip(poses[key], infos.get(key, ()), strict=True)):
             name = f"{image_id:06d}_{i:06d}.png"
             visible = _mask(folder / "mask_visib" / name)
             shape = visible.shape
@@ -97,7 +95,7 @@ def _image(image_id: int, file_name: str, shape: tuple[int, ...]) -> dict[str, A
 
 def _mask(path: Path) -> np.ndarray:
     """A mask's true pixels, bool (H, W)."""
-    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise ValueError(f"{path} is missing or not a readable picture: COCO needs all masks")
-    return picture > 0
+    try:
+        return read_image(path, "L") > 0
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} is missing or broken: COCO needs all masks") from error

@@ -2,59 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 
 from .bop_boxes import NO_BOX, bounding_box
+from .bop_scene import Scene, SceneAnnotations
+from .input_files import read_image
 
 
-def info_from_masks(folder: Path, poses: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    """Content like that of ``scene_gt_info.json``, measured on the masks where there are any.
+def measure_masks(scene: Scene) -> SceneAnnotations:
+    """The annotations of a scene with what its masks say, where there are any.
 
     What nothing tells is given as nothing being in the way: a visible fraction of 1, boxes and
     pixel counts of -1. With ``mask_visib`` the visible box and count are exact; with ``mask`` too,
-    so is the visible fraction, but for what lies outside of the picture.
-
-    Args:
-        folder: the scene.
-        poses: content of its ``scene_gt.json``.
+    so is the visible fraction, but for what lies outside of the image.
     """
-    masked = (folder / "mask_visib").is_dir()
-    return {
-        key: [_describe(folder, int(key), i) if masked else _entry() for i in range(len(entries))]
-        for key, entries in poses.items()
-        if isinstance(entries, list)
-    }
-
-
-def _entry() -> dict[str, Any]:
-    return {
-        "bbox_obj": NO_BOX,
-        "bbox_visib": NO_BOX,
-        "px_count_all": -1,
-        "px_count_visib": -1,
-        "visib_fract": 1.0,
-    }
-
-
-def _describe(folder: Path, image_id: int, index: int) -> dict[str, Any]:
-    entry = _entry()
-    name = f"{image_id:06d}_{index:06d}.png"
-    visible = _read(folder / "mask_visib" / name)
-    if visible is not None:
-        entry["bbox_visib"], entry["px_count_visib"] = bounding_box(visible), int(visible.sum())
-        whole = _read(folder / "mask" / name)
+    count = len(scene.annotations.index)
+    visibility = np.ones(count)
+    boxes = np.tile(NO_BOX, (2, count, 1)).astype(float)
+    pixels = np.full((2, count), -1.0)
+    for row in range(count):
+        visible = _read(scene.mask_path(row))
+        if visible is None:
+            continue
+        boxes[0, row], pixels[0, row] = bounding_box(visible), visible.sum()
+        whole = _read(scene.mask_path(row, "mask"))
         if whole is not None:
-            entry["bbox_obj"], entry["px_count_all"] = bounding_box(whole), int(whole.sum())
-            entry["visib_fract"] = min(1.0, float(visible.sum()) / max(1, int(whole.sum())))
-    return entry
+            boxes[1, row], pixels[1, row] = bounding_box(whole), whole.sum()
+            visibility[row] = min(1.0, float(visible.sum()) / max(1, int(whole.sum())))
+    return replace(
+        scene.annotations,
+        visibility=visibility,
+        bbox_visib=boxes[0],
+        bbox_obj=boxes[1],
+        px_count_visib=pixels[0],
+        px_count_all=pixels[1],
+    )
 
 
 def _read(path: Path) -> np.ndarray | None:
     """A mask, or None where the file is missing or broken: who needs it will say so."""
-    mask = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
-    return None if mask is None else mask > 0
+    try:
+        return read_image(path, "L") > 0
+    except (OSError, ValueError):
+        return None

@@ -26,7 +26,7 @@ EVALUATION_FACES = 1500
 _AGGRESSION = 3.0
 
 
-def write_models(root: str | Path, objects: Iterable[ObjectModel], folder: str = "models") -> None:
+def write_models(root: str | Path, objects: Iterable[ObjectModel]) -> None:
     """Writes textured PLY files in millimetres, and ``models_info.json``.
 
     The file says each object's name beside BOP's own fields.
@@ -35,15 +35,16 @@ def write_models(root: str | Path, objects: Iterable[ObjectModel], folder: str =
         ValueError: if two objects share a number.
     """
     objects = list(objects)
+    folder = Path(root) / "models"
     infos = _infos(objects)
     for model in objects:
-        stem = Path(root) / folder / f"obj_{model.obj_id:06d}"
+        stem = folder / f"obj_{model.obj_id:06d}"
         done, picture = cv2.imencode(".png", np.ascontiguousarray(model.texture[..., ::-1]))
         if not done:
             raise ValueError(f"the texture of {model.name!r} cannot be encoded")
         write_atomically(stem.with_suffix(".png"), picture.tobytes())
         write_atomically(stem.with_suffix(".ply"), _textured_ply(model, f"{stem.name}.png"))
-    write_json(Path(root) / folder / "models_info.json", infos)
+    write_json(folder / "models_info.json", infos)
 
 
 def write_evaluation_models(root: str | Path, objects: Iterable[ObjectModel]) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .bop_fields import MM, array, integer, read_json, rigid
+from .bop_fields import MM, Place, Report, read_json, read_numbers, refuse, rigid
 
 CONTINUOUS_SYMMETRY_STEPS = 72
 """How many rotations stand for a continuous symmetry."""
@@ -26,7 +27,8 @@ class BopModelInfo:
         diameter: largest distance between two surface points, metres.
         minimum: lower corner of the bounding box, (3,), metres.
         extents: sides of the bounding box, (3,), metres.
-        symmetries: (S, 4, 4) transforms under which it looks the same, identity first, metres.
+        discrete: (D, 4, 4) discrete symmetries, without the identity, metres.
+        axes: (C, 6) continuous symmetries: axis, and a point on it in metres.
         mesh_path: its PLY file (in millimetres).
     """
 
@@ -35,55 +37,92 @@ class BopModelInfo:
     diameter: float
     minimum: np.ndarray
     extents: np.ndarray
-    symmetries: np.ndarray
+    discrete: np.ndarray
+    axes: np.ndarray
     mesh_path: Path
+
+    @cached_property
+    def symmetries(self) -> np.ndarray:
+        """(S, 4, 4) transforms under which it looks the same, identity first, metres.
+
+        A continuous symmetry counts as ``CONTINUOUS_SYMMETRY_STEPS`` discrete ones.
+        """
+        found = [np.eye(4), *self.discrete]
+        for axis, offset in zip(self.axes[:, :3], self.axes[:, 3:], strict=True):
+            angles = np.linspace(0, 2 * np.pi, CONTINUOUS_SYMMETRY_STEPS, endpoint=False)[1:]
+            turns = np.tile(np.eye(4), (len(angles), 1, 1))
+            turns[:, :3, :3] = Rotation.from_rotvec(
+                angles[:, None] * axis / np.linalg.norm(axis)
+            ).as_matrix()
+            turns[:, :3, 3] = offset - turns[:, :3, :3] @ offset
+            found = [*found, *(T @ turn for T in found for turn in turns)]
+        return np.stack(found)
 
 
 def read_models_info(root: str | Path, folder: str = "models") -> dict[int, BopModelInfo]:
     """Reads ``models_info.json``: obj_id -> what it says, in metres.
 
-    Continuous symmetries arrive as ``CONTINUOUS_SYMMETRY_STEPS`` discrete ones.
-
     Raises:
         ValueError: if the file is missing or broken; the message names file and field.
     """
     path = Path(root) / folder / "models_info.json"
-    infos = {}
-    for key, entry in read_json(path, dict).items():
-        where = f"{path}: object {key}"
-        minimum, extents = (
-            np.array([array([entry], f"{part}_{axis}", 1, [where])[0, 0] for axis in "xyz"]) / MM
-            for part in ("min", "size")
-        )
-        obj_id = integer(key, where)
-        infos[obj_id] = BopModelInfo(
-            obj_id=obj_id,
-            name=entry.get("name"),
-            diameter=float(array([entry], "diameter", 1, [where])[0, 0]) / MM,
-            minimum=minimum,
-            extents=extents,
-            symmetries=_symmetries(entry, where),
-            mesh_path=path.parent / f"obj_{obj_id:06d}.ply",
-        )
+    infos = read_entries(path)
+    for obj_id, info in infos.items():
+        rigid(info.discrete, lambda i, o=obj_id: f"{path}: object {o}: symmetry {i}")  # type: ignore[misc]
     return infos
 
 
-def _symmetries(entry: Mapping[str, Any], where: str) -> np.ndarray:
-    """The symmetry transforms of one model (S, 4, 4), identity first, metres."""
-    given = entry.get("symmetries_discrete", [])
-    places = [f"{where}: symmetry {i}" for i in range(len(given))]
-    rows = [{"symmetries_discrete": row} for row in given]
-    discrete = array(rows, "symmetries_discrete", 16, places).reshape(-1, 4, 4)
+def read_entries(path: Path, report: Report = refuse) -> dict[int, BopModelInfo]:
+    """The entries of ``models_info.json`` as they are: NaN where broken, any symmetries.
+
+    Raises:
+        ValueError: of ``report``, where something is broken.
+    """
+    infos = {}
+    for key, entry in (read_json(path, dict, report) or {}).items():
+        if not key.isdigit() or not isinstance(entry, dict):
+            report(
+                path, "keys", "an entry must be an object's number and its description",
+                detail=f"key {key[:40]!r}", remedy="rename or remove the entry",
+            )  # fmt: skip
+            continue
+        infos[int(key)] = _read_entry(int(key), entry, path, report)
+    return infos
+
+
+def _read_entry(obj_id: int, entry: Mapping[str, Any], path: Path, report: Report) -> BopModelInfo:
+    place = Place(entry=f"object {obj_id}")
+
+    def length(*names: str) -> np.ndarray:
+        values = [read_numbers([entry], name, 1, path, [place], report)[0, 0] for name in names]
+        return np.array(values) / MM
+
+    def listed(name: str) -> list[Any]:
+        value = entry.get(name, [])
+        if isinstance(value, list):
+            return value
+        report(
+            path, name, "must be a list", detail=f"object {obj_id}: {str(value)[:60]}",
+            remedy="give a list, empty for none",
+        )  # fmt: skip
+        return []
+
+    rows = [{"symmetries_discrete": row} for row in listed("symmetries_discrete")]
+    places = [Place(entry=f"object {obj_id}, symmetry {i}") for i in range(len(rows))]
+    discrete = read_numbers(rows, "symmetries_discrete", 16, path, places, report)
+    discrete = discrete.reshape(-1, 4, 4)
     discrete[:, :3, 3] /= MM
-    found = [np.eye(4), *rigid(discrete, places)]
-    for symmetry in entry.get("symmetries_continuous", []):
-        axis = array([symmetry], "axis", 3, [where])[0]
-        offset = array([symmetry], "offset", 3, [where])[0] / MM
-        angles = np.linspace(0, 2 * np.pi, CONTINUOUS_SYMMETRY_STEPS, endpoint=False)[1:]
-        turns = np.tile(np.eye(4), (len(angles), 1, 1))
-        turns[:, :3, :3] = Rotation.from_rotvec(
-            angles[:, None] * axis / np.linalg.norm(axis)
-        ).as_matrix()
-        turns[:, :3, 3] = offset - turns[:, :3, :3] @ offset
-        found = [*found, *(T @ turn for T in found for turn in turns)]
-    return np.stack(found)
+    continuous = listed("symmetries_continuous")
+    places = [place] * len(continuous)
+    axis = read_numbers(continuous, "axis", 3, path, places, report)
+    offset = read_numbers(continuous, "offset", 3, path, places, report) / MM
+    return BopModelInfo(
+        obj_id=obj_id,
+        name=entry.get("name"),
+        diameter=float(length("diameter")[0]),
+        minimum=length("min_x", "min_y", "min_z"),
+        extents=length("size_x", "size_y", "size_z"),
+        discrete=discrete,
+        axes=np.concatenate([axis, offset], axis=1),
+        mesh_path=path.parent / f"obj_{obj_id:06d}.ply",
+    )

@@ -1,4 +1,4 @@
-"""Two-view pairs of a BOP dataset: which two pictures show objects that did not move between."""
+"""Two-view pairs of a BOP dataset: which two images show objects that did not move between."""
 
 from __future__ import annotations
 
@@ -9,7 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from .bop_fields import MM, array, integer, read_json, required, rigid, transforms
+from .bop_fields import (
+    MM,
+    Place,
+    Report,
+    read_json,
+    read_numbers,
+    read_transforms,
+    refuse,
+    rigid,
+)
 from .geometry import invert
 
 PAIRS_FILE = "two_view_pairs.json"
@@ -18,7 +27,7 @@ PAIRS_FILE = "two_view_pairs.json"
 
 @dataclass(frozen=True, eq=False)
 class BopPair:
-    """Two pictures of one scene between which the named objects did not move.
+    """Two images of one scene between which the named objects did not move.
 
     Attributes:
         scene_id: number of the scene folder.
@@ -82,72 +91,115 @@ def read_pairs(path: str | Path) -> tuple[BopPair, ...]:
     path = Path(path)
     if path.is_dir():
         path = path / PAIRS_FILE
-    content = read_json(path, (list, dict))
-    if isinstance(content, dict):
-        return _read_worldless(content, str(path))
-    places = [f"{path}: pair {i}" for i in range(len(content))]
-    moves = transforms(content, "cam_R_ref2second", "cam_t_ref2second", places)
+    pairs = read_entries(path)
+    T = np.array([pair.T_second_ref for pair in pairs.values()]).reshape(-1, 4, 4)
+    rigid(T, lambda i: f"{path}: pair {i}: rotation")
     return tuple(
-        BopPair(
-            scene_id=integer(required(entry, "scene_id", place), place),
-            ref_image_id=integer(required(entry, "ref_image_id", place), place),
-            second_image_id=integer(required(entry, "second_image_id", place), place),
-            T_second_ref=T,
-            baselines_deg=_baselines(required(entry, "baselines_deg", place), place),
-            target_obj_id=entry.get("target_obj_id"),
-            gap=_gap(entry, place),
-            visib_fracts=_visib_fracts(entry.get("visib_fracts", {}), place),
-        )
-        for entry, place, T in zip(content, places, moves, strict=True)
+        replace(pair, T_second_ref=moved) for pair, moved in zip(pairs.values(), T, strict=True)
     )
 
 
-def _read_worldless(content: Mapping[str, Any], path: str) -> tuple[BopPair, ...]:
-    scene_id = integer(required(content, "scene_id", path), path)
-    pairs = required(content, "pairs", path)
-    places = [f"{path}: pair {i}" for i in range(len(pairs))]
-    moves = array(pairs, "T_b_a_mm", 16, places).reshape(-1, 4, 4)
-    moves[:, :3, 3] /= MM
-    moves = rigid(moves, [f"{place}: field 'T_b_a_mm'" for place in places])
-    found = []
-    for entry, place, T in zip(pairs, places, moves, strict=True):
-        objects = required(entry, "objects", place)
-        found.append(
-            BopPair(
-                scene_id=scene_id,
-                ref_image_id=integer(required(entry, "im_a", place), place),
-                second_image_id=integer(required(entry, "im_b", place), place),
-                T_second_ref=T,
-                baselines_deg=_baselines(
-                    {k: required(v, "baseline_deg", place) for k, v in objects.items()}, place
-                ),
-                gap=_gap(entry, place),
-            )
-        )
-    return tuple(found)
+def read_entries(path: Path, report: Report = refuse) -> dict[int, BopPair]:
+    """The entries of a list of pairs by their position; without those that name no images.
 
+    Rotations are left as they are; a transform is NaN where it is broken.
 
-def _gap(entry: Mapping[str, Any], where: str) -> int | None:
-    """The optional field ``gap``."""
-    gap = entry.get("gap")
-    if gap is None:
-        return None
-    if isinstance(gap, bool) or not isinstance(gap, int) or gap < 1:
-        raise ValueError(f"{where}: field 'gap' must be an integer of at least 1, got {gap!r}")
-    return gap
-
-
-def _baselines(entry: Mapping[str, Any], where: str) -> dict[int, float]:
+    Raises:
+        ValueError: of ``report``, where something is broken.
+    """
+    content = read_json(path, (list, dict), report)
+    if content is None:
+        return {}
+    entries = content.get("pairs") if isinstance(content, dict) else content
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        report(
+            path, "pairs", "must be a list of pairs",
+            remedy="see bop_writer.write_pairs for the form",
+        )  # fmt: skip
+        return {}
+    places = [Place(entry=f"pair {i}") for i in range(len(entries))]
+    if isinstance(content, dict):
+        entries = [{"scene_id": content.get("scene_id")} | _as_ours(entry) for entry in entries]
+        T = read_numbers(entries, "T_b_a_mm", 16, path, places, report).reshape(-1, 4, 4)
+        T[:, :3, 3] /= MM
+    else:
+        names = "cam_R_ref2second", "cam_t_ref2second"
+        T = read_transforms(entries, names, path, places, report)
+    ids = np.column_stack(
+        [
+            read_numbers(entries, name, 1, path, places, report)
+            for name in ("scene_id", "ref_image_id", "second_image_id")
+        ]
+    )
     return {
-        integer(k, where): float(array([entry], k, 1, [f"{where}: baseline"])[0, 0]) for k in entry
+        number: BopPair(
+            scene_id=int(ids[number, 0]),
+            ref_image_id=int(ids[number, 1]),
+            second_image_id=int(ids[number, 2]),
+            T_second_ref=T[number],
+            baselines_deg=_baselines(entry.get("baselines_deg"), path, number, report),
+            target_obj_id=entry.get("target_obj_id"),
+            gap=_gap(entry.get("gap"), path, places[number], report),
+            visib_fracts=_visib_fracts(entry, path, number, report),
+        )
+        for number, entry in enumerate(entries)
+        if not np.isnan(ids[number]).any()
     }
 
 
-def _visib_fracts(entry: Mapping[str, Any], where: str) -> dict[int, tuple[float, float]]:
+def _as_ours(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """An entry of the other form with our names."""
+    ours = {"im_a": "ref_image_id", "im_b": "second_image_id"}
+    renamed = {ours.get(name, name): value for name, value in entry.items()}
+    objects = entry.get("objects")
+    if isinstance(objects, dict):
+        renamed["baselines_deg"] = {
+            key: value.get("baseline_deg") if isinstance(value, dict) else value
+            for key, value in objects.items()
+        }
+    return renamed
+
+
+def _gap(gap: Any, path: Path, place: Place, report: Report) -> int | None:
+    """The optional field ``gap``."""
+    if gap is None or (type(gap) is int and gap >= 1):
+        return gap
+    report(
+        path, "gap", "must be an integer of at least 1", place=place, detail=repr(gap)[:60],
+        remedy="give the frames between, or leave it out",
+    )  # fmt: skip
+    return None
+
+
+def _baselines(given: Any, path: Path, number: int, report: Report) -> dict[int, float]:
+    entries = given if isinstance(given, dict) else {}
+    good = all(
+        key.isdigit() and isinstance(v, int | float) and 0 <= v <= 180 for key, v in entries.items()
+    )
+    if not entries or not good:
+        report(
+            path, "baselines_deg", "must be objects and their angles",
+            detail=f"pair {number}: {str(given)[:60]}",
+            remedy="give each object that stood still the angle in degrees between its two views",
+        )  # fmt: skip
+        return {int(key): np.nan for key in entries if key.isdigit()}
+    return {int(key): float(value) for key, value in entries.items()}
+
+
+def _visib_fracts(
+    entry: Mapping[str, Any], path: Path, number: int, report: Report
+) -> dict[int, tuple[float, float]]:
     """The optional field ``visib_fracts``."""
-    place = f"{where}: visible fractions"
+    given = entry.get("visib_fracts", {})
+    if not isinstance(given, dict) or not all(key.isdigit() for key in given):
+        report(
+            path, "visib_fracts", "must be objects and their visible fractions",
+            detail=f"pair {number}: {str(given)[:60]}", remedy="see bop_writer.write_pairs",
+        )  # fmt: skip
+        return {}
+    place = [Place(entry=f"pair {number}, visible fractions")]
     return {
-        integer(key, where): (float(both[0]), float(both[1]))
-        for key in entry
-        for both in array([entry], key, 2, [place])
+        int(key): (float(both[0]), float(both[1]))
+        for key in given
+        for both in read_numbers([given], key, 2, path, place, report)
     }

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .bop_fields import MM, array, integer, transforms
+from .bop_fields import MM, Place, read_numbers, read_transforms, rigid
 from .geometry import check_rigid
 from .results import write_atomically
 
@@ -88,8 +88,9 @@ def read_bop_results(
         ValueError: if the file is none, a row is broken, a pose is not a rotation and a
             translation, or a number is not known; the message names file and line.
     """
+    path = Path(path)
     try:
-        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -100,30 +101,35 @@ def read_bop_results(
     for number, line in enumerate(lines, start=1):
         if not line.strip() or (number == 1 and line.replace(" ", "") == HEADER):
             continue
-        place = f"{path}, line {number}"
+        place = Place(entry=f"line {number}")
         cells = line.split(",")
         if len(cells) != len(_COLUMNS):
             raise ValueError(
-                f"{place}: must have {len(_COLUMNS)} columns separated by commas ({HEADER}), got "
-                f"{len(cells)}; the numbers of R and of t are separated by blanks"
+                f"{path}, {place}: must have {len(_COLUMNS)} columns separated by commas "
+                f"({HEADER}), got {len(cells)}; the numbers of R and of t are separated by blanks"
             )
         rows.append(dict(zip(_COLUMNS, cells, strict=True)))
         places.append(place)
     if not rows:
         return ()
     poses = [{"R": row["R"].split(), "t": row["t"].split()} for row in rows]
-    T_cam_obj = transforms(poses, "R", "t", places)
-    score, seconds = (array(rows, name, 1, places)[:, 0] for name in ("score", "time"))
+    T_cam_obj = read_transforms(poses, ("R", "t"), path, places)
+    rigid(T_cam_obj, lambda i: f"{path}, {places[i]}: field 'R'")
+    score, seconds = (
+        read_numbers(rows, name, 1, path, places, largest=math.inf)[:, 0]
+        for name in ("score", "time")
+    )
     results = []
-    for i, (row, place) in enumerate(zip(rows, places, strict=True)):
+    for i, row in enumerate(rows):
+        where = f"{path}, {places[i]}"
         scene_id, image_id, obj_id = (
-            integer(row[name], f"{place}: {name}") for name in ("scene_id", "im_id", "obj_id")
+            _integer(row[name], f"{where}: {name}") for name in ("scene_id", "im_id", "obj_id")
         )
         if images is not None:
-            _check_known(scene_id, images, f"{place}: scene_id", "scenes")
-            _check_known(image_id, images[scene_id], f"{place}: im_id", f"scene {scene_id}")
+            _check_known(scene_id, images, f"{where}: scene_id", "scenes")
+            _check_known(image_id, images[scene_id], f"{where}: im_id", f"scene {scene_id}")
         if obj_ids is not None:
-            _check_known(obj_id, obj_ids, f"{place}: obj_id", "objects")
+            _check_known(obj_id, obj_ids, f"{where}: obj_id", "objects")
         numbers = scene_id, image_id, obj_id
         results.append(BopResult(*numbers, float(score[i]), T_cam_obj[i], float(seconds[i])))
     return tuple(results)
@@ -160,6 +166,13 @@ def surest_of_each_target(
 
 def _numbers(values: np.ndarray) -> str:
     return " ".join(map(repr, values.ravel().tolist()))
+
+
+def _integer(value: str, where: str) -> int:
+    try:
+        return int(value)
+    except ValueError as error:
+        raise ValueError(f"{where}: expected a whole number, got {value!r}") from error
 
 
 def _check_known(number: int, known: Collection[int], where: str, what: str) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .bop import BopDataset, BopImage
-from .bop_fields import integer, read_json, required
+from .bop_fields import Place, read_json, read_numbers
 from .bop_writer import write_json
 
 TARGETS_FILE = "test_targets_bop19.json"
@@ -65,17 +65,19 @@ def read_targets(dataset: BopDataset) -> tuple[BopTarget, ...]:
     path = dataset.root / TARGETS_FILE
     if not (is_test(dataset.split) and path.is_file()):
         return tuple(_visible_targets(dataset))
-    targets = []
-    for i, entry in enumerate(read_json(path, list)):
-        where = f"{path}: target {i}"
-        numbers = [
-            integer(required(entry, name, where), f"{where}: field {name!r}")
-            for name in ("scene_id", "im_id", "obj_id", "inst_count")
-        ]
-        if numbers[-1] < 1:
-            raise ValueError(f"{where}: field 'inst_count' must be at least 1, got {numbers[-1]}")
-        targets.append(BopTarget(*numbers))
-    return tuple(targets)
+    entries = read_json(path, list)
+    places = [Place(entry=f"target {i}") for i in range(len(entries))]
+    columns = [
+        read_numbers(entries, name, 1, path, places)[:, 0].astype(int).tolist()
+        for name in ("scene_id", "im_id", "obj_id", "inst_count")
+    ]
+    targets = tuple(BopTarget(*numbers) for numbers in zip(*columns, strict=True))
+    for i, target in enumerate(targets):
+        if target.instances < 1:
+            raise ValueError(
+                f"{path}: target {i}: field 'inst_count' must be at least 1, got {target.instances}"
+            )
+    return targets
 
 
 def _visible_targets(

@@ -28,7 +28,7 @@ DEPTH_SCALE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class BopFrame:
-    """One picture on its way to the disk.
+    """One image on its way to the disk.
 
     Attributes:
         rgb: RGB uint8, (H, W, 3).
@@ -73,7 +73,7 @@ def write_scene(
         split: such as ``train_pbr``.
         scene_id: its number.
         frames: what to write.
-        jpeg_quality: quality of JPEG pictures, or None for PNG.
+        jpeg_quality: quality of JPEG images, or None for PNG.
 
     Returns:
         The scene's folder.
@@ -106,7 +106,7 @@ def write_scene(
 
 
 def write_camera(root: str | Path, K: np.ndarray, image_size: tuple[int, int]) -> None:
-    """Writes ``camera.json``: the camera that the pictures share; ``image_size`` is (H, W)."""
+    """Writes ``camera.json``: the camera that the images share; ``image_size`` is (H, W)."""
     K = check_intrinsics(K)
     names = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
     height, width = image_size
@@ -126,27 +126,26 @@ def write_pairs(path: str | Path, pairs: Iterable[BopPair]) -> None:
     entries = []
     for pair in pairs:
         T = check_rigid(pair.T_second_ref, f"T_second_ref of scene {pair.scene_id}")
-        entries.append(
-            {
-                "scene_id": pair.scene_id,
-                "ref_image_id": pair.ref_image_id,
-                "second_image_id": pair.second_image_id,
-                "target_obj_id": pair.target_obj_id,
-                **({} if pair.gap is None else {"gap": int(pair.gap)}),
-                "baseline_deg": pair.baseline_deg,
-                "baselines_deg": {str(k): float(v) for k, v in pair.baselines_deg.items()},
-                **_visibility_field(pair),
-                "cam_R_ref2second": T[:3, :3].ravel().tolist(),
-                "cam_t_ref2second": (T[:3, 3] * MM).tolist(),
-            }
-        )
+        entry: dict[str, Any] = {
+            "scene_id": pair.scene_id,
+            "ref_image_id": pair.ref_image_id,
+            "second_image_id": pair.second_image_id,
+            "target_obj_id": pair.target_obj_id,
+        }
+        if pair.gap is not None:
+            entry["gap"] = int(pair.gap)
+        entry["baseline_deg"] = pair.baseline_deg
+        entry["baselines_deg"] = {str(k): float(v) for k, v in pair.baselines_deg.items()}
+        if pair.visib_fracts:
+            entry["visib_fracts"] = {str(k): [*map(float, v)] for k, v in pair.visib_fracts.items()}
+        entries.append(entry | _transform(T, "ref2second"))
     write_json(Path(path), entries)
 
 
-def _visibility_field(pair: BopPair) -> dict[str, dict[str, list[float]]]:
-    if not pair.visib_fracts:
-        return {}
-    return {"visib_fracts": {str(k): [*map(float, v)] for k, v in pair.visib_fracts.items()}}
+def _transform(T: np.ndarray, name: str) -> dict[str, list[float]]:
+    """BOP's two fields of a transform (4, 4) in metres: rotation row by row, and millimetres."""
+    rotation, translation = T[:3, :3].ravel().tolist(), (T[:3, 3] * MM).tolist()
+    return {f"cam_R_{name}": rotation, f"cam_t_{name}": translation}
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -167,11 +166,9 @@ def _write_pixels(
 ) -> None:
     rgb = check_image(frame.rgb, f"rgb of {name}")
     shape = rgb.shape[:2]
-    if jpeg_quality is None:
-        _encode(folder / "rgb" / f"{image_id:06d}.png", rgb[..., ::-1], [])
-    else:
-        quality = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
-        _encode(folder / "rgb" / f"{image_id:06d}.jpg", rgb[..., ::-1], quality)
+    suffix = "png" if jpeg_quality is None else "jpg"
+    options = [] if jpeg_quality is None else [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
+    _encode(folder / "rgb" / f"{image_id:06d}.{suffix}", rgb[..., ::-1], options)
     if frame.depth is not None:
         if frame.depth.shape != shape or not np.isfinite(frame.depth).all():
             raise ValueError(f"depth of {name} must be finite and of shape {shape}")
@@ -184,13 +181,9 @@ def _write_pixels(
 
 
 def _write_masks(
-    folder: Path,
-    image_id: int,
-    masks: Sequence[np.ndarray],
-    count: int,
-    shape: tuple[int, ...],
+    folder: Path, image_id: int, masks: Sequence[np.ndarray], count: int, shape: tuple[int, ...],
     name: str,
-) -> None:
+) -> None:  # fmt: skip
     if len(masks) != count or any(mask.shape != shape for mask in masks):
         raise ValueError(
             f"masks of {name} must be {count} (one an annotation) of shape {shape}, "
@@ -207,18 +200,13 @@ def _camera_entry(frame: BopFrame, name: str) -> dict[str, Any]:
     entry: dict[str, Any] = {"cam_K": check_intrinsics(frame.K, f"K of {name}").ravel().tolist()}
     if frame.T_cam_world is not None:
         T = check_rigid(frame.T_cam_world, f"T_cam_world of {name}")
-        entry["cam_R_w2c"] = T[:3, :3].ravel().tolist()
-        entry["cam_t_w2c"] = (T[:3, 3] * MM).tolist()
+        entry |= _transform(T, "w2c")
     return entry | {"depth_scale": DEPTH_SCALE}
 
 
 def _pose_entry(annotation: BopAnnotation, name: str) -> dict[str, Any]:
     T = check_rigid(annotation.T_cam_obj, f"T_cam_obj of object {annotation.obj_id} in {name}")
-    return {
-        "cam_R_m2c": T[:3, :3].ravel().tolist(),
-        "cam_t_m2c": (T[:3, 3] * MM).tolist(),
-        "obj_id": int(annotation.obj_id),
-    }
+    return _transform(T, "m2c") | {"obj_id": int(annotation.obj_id)}
 
 
 def _info_entries(frame: BopFrame) -> list[dict[str, Any]]:

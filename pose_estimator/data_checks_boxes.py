@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from .bop_boxes import bounding_box
-from .bop_raw import RawScene
-from .data_findings import Finding, Findings, Place, Severity
+from .bop_fields import Place
+from .bop_scene import Scene
+from .data_findings import Findings, Severity
 
 SLACK = 3
 """Pixels by which boxes may differ: some count the last column, others the distance to it."""
@@ -18,7 +19,7 @@ ANEW = "compute scene_gt_info.json anew (bop_toolkit: calc_gt_info.py)"
 CORNERS = "it holds corners (left, top, right, bottom); BOP has left, top, width, height"
 
 
-def check_info(scene: RawScene, size: tuple[int, int] | None, findings: Findings) -> None:
+def check_info(scene: Scene, size: tuple[int, int] | None, findings: Findings) -> None:
     """Checks the numbers of all annotations against each other and the picture's size (H, W)."""
     rows = scene.annotations
     if not rows.described:
@@ -27,16 +28,11 @@ def check_info(scene: RawScene, size: tuple[int, int] | None, findings: Findings
     def complain(
         wrong: np.ndarray, severity: Severity, field: str, problem: str, **more: str
     ) -> None:
-        columns = {"visib_fract": rows.visibility, "px_count_visib": rows.px_count_visib}
-        values = columns.get(field, getattr(rows, field, rows.visibility))
+        values = rows.visibility if field == "visib_fract" else getattr(rows, field)
+        add = findings.error if severity == "error" else findings.warning
         for row in np.flatnonzero(wrong).tolist():
             detail = str(np.round(values[row], 3).tolist())
-            place = rows.place(scene.scene_id, row)
-            findings.add(
-                Finding(
-                    severity, scene.info_path, field, problem, place=place, detail=detail, **more
-                )
-            )
+            add(scene.info_path, field, problem, place=scene.place(row), detail=detail, **more)
 
     with np.errstate(invalid="ignore"):
         fraction = rows.visibility
@@ -65,7 +61,7 @@ def check_info(scene: RawScene, size: tuple[int, int] | None, findings: Findings
         )  # fmt: skip
 
 
-def _check_box(scene: RawScene, size: tuple[int, int], complain: Callable[..., None]) -> None:
+def _check_box(scene: Scene, size: tuple[int, int], complain: Callable[..., None]) -> None:
     """Visible boxes must lie in the picture."""
     height, width = size
     box = scene.annotations.bbox_visib

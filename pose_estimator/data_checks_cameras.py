@@ -6,32 +6,28 @@ from pathlib import Path
 
 import numpy as np
 
-from .bop_fields import ROTATION_TOLERANCE, rotation_errors
-from .bop_raw import RawScene
-from .bop_raw_fields import read_numbers, read_raw_json
-from .data_findings import Finding, Findings, Place, Severity
+from .bop_fields import ROTATION_TOLERANCE, Place, read_json, read_numbers, rotation_errors
+from .bop_scene import Scene
+from .data_findings import Finding, Findings, Severity
 from .geometry import check_intrinsics
 
 MIDDLE = (0.25, 0.75)
 """Where, in shares of the picture's sides, a principal point is not worth a question."""
 
 
-def check_cameras(scene: RawScene, size: tuple[int, int] | None, findings: Findings) -> None:
-    """Checks all camera matrices of a scene; equal ones are one finding a picture all the same.
+WRITE_K = "write fx, 0, cx, 0, fy, cy, 0, 0, 1"
+
+
+def check_cameras(scene: Scene, size: tuple[int, int] | None, findings: Findings) -> None:
+    """Checks all camera matrices of a scene.
 
     Args:
         scene: whose cameras.
         size: height and width of its pictures; None where none could be read.
         findings: are added to.
     """
-    known: dict[bytes, tuple[Severity, str, str, str, str] | None] = {}
     for image_id, K in zip(scene.image_id.tolist(), scene.K, strict=True):
-        if np.isnan(K).any():
-            continue
-        key = K.tobytes()
-        if key not in known:
-            known[key] = _complaint(K, size)
-        if (found := known[key]) is not None:
+        if not np.isnan(K).any() and (found := _complaint(K, size)) is not None:
             severity, problem, cause, remedy, detail = found
             place = Place(scene.scene_id, image_id)
             findings.add(
@@ -71,8 +67,7 @@ def _complaint(
     except ValueError:
         turned = np.allclose(K[:2, 2], 0) and (K[2, :2] > 0).all()
         cause = "it is transposed: MATLAB keeps it column by column" if turned else ""
-        remedy = "write fx, 0, cx, 0, fy, cy, 0, 0, 1"
-        return "error", "is no camera matrix", cause, remedy, f"{K.round(2).tolist()}"
+        return "error", "is no camera matrix", cause, WRITE_K, f"{K.round(2).tolist()}"
     if size is None:
         return None
     height, width = size
@@ -87,8 +82,7 @@ def _complaint(
         return "error", "the focal lengths are too short", cause, remedy, pixels
     if not 0.8 < fx / fy < 1.25:
         cause = "the picture was stretched, or the numbers stand in another order"
-        remedy = "write fx, 0, cx, 0, fy, cy, 0, 0, 1"
-        return "warning", "fx and fy are far from each other", cause, remedy, pixels
+        return "warning", "fx and fy are far from each other", cause, WRITE_K, pixels
     if not (MIDDLE[0] <= share).all() or not (share <= MIDDLE[1]).all():
         problem = "the principal point is far from the middle of the picture"
         return "warning", problem, *_explain(K, size), pixels
@@ -102,10 +96,7 @@ def _explain(K: np.ndarray, size: tuple[int, int]) -> tuple[str, str]:
     share = np.array([K[0, 2] / width, K[1, 2] / height])
     middle = abs(fx / width - 0.5) < 0.15 and abs(fy / height - 0.5) < 0.15
     if middle and abs(K[0, 2] / K[1, 2] - 1) < 0.1:
-        return (
-            "focal lengths and principal point are swapped",
-            "write fx, 0, cx, 0, fy, cy, 0, 0, 1",
-        )
+        return "focal lengths and principal point are swapped", WRITE_K
     scale = 2 * share.mean()
     if (share > 0).all() and abs(share[0] / share[1] - 1) < 0.3 and not 0.7 < scale < 1.4:
         return (
@@ -122,11 +113,11 @@ def _explain(K: np.ndarray, size: tuple[int, int]) -> tuple[str, str]:
 def read_camera_size(root: Path, findings: Findings) -> tuple[int, int] | None:
     """Height and width that ``camera.json`` says; None where there is none."""
     path = root / "camera.json"
-    content = read_raw_json(path, dict, findings) if path.is_file() else None
+    content = read_json(path, dict, findings.error) if path.is_file() else None
     if content is None:
         return None
     names = ("height", "width", "fx", "fy", "cx", "cy")
-    values = [read_numbers([content], n, 1, path, [Place()], findings)[0, 0] for n in names]
+    values = [read_numbers([content], n, 1, path, [Place()], findings.error)[0, 0] for n in names]
     if np.isnan(values[:2]).any():
         return None
     return int(values[0]), int(values[1])

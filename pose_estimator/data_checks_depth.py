@@ -7,55 +7,39 @@ from pathlib import Path
 
 import numpy as np
 
-from .bop_raw_models import RawModel
-from .data_findings import Findings, Place
+from .bop_fields import Place
+from .data_findings import Findings
+from .data_models import CheckedModel
 from .geometry import transform
 
 STEPS = (1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3)
 """Factors by which a wrong depth_scale is usually wrong."""
 
-LEAST_PIXELS = 40
-
-
-@dataclass(frozen=True)
-class _Measured:
-    camera_path: Path
-    depth_path: Path
-    place: Place
-    obj_id: int
-    depth: float
-    nearest: float
-    farthest: float
-    slack: float
-
-    @property
-    def off(self) -> bool:
-        return not self.nearest - self.slack <= self.depth <= self.farthest + self.slack
-
-    @property
-    def ratio(self) -> float:
-        return self.depth / ((self.nearest + self.farthest) / 2)
+MIN_PIXELS = 40
 
 
 @dataclass
 class DepthCheck:
-    """Compares the median depth in each mask with the distances of the object's surface."""
+    """Compares the median depth in each mask with the distances of the object's surface.
 
-    _measured: list[_Measured] = field(default_factory=list)
+    Attributes:
+        measured: how many annotations were measured.
+        wrong: those that disagree: scene_camera.json, the depth map, the place, the factor by which
+            the depth is wrong, and the distances in words.
+    """
+
+    measured: int = 0
+    wrong: list[tuple[Path, Path, Place, float, str]] = field(default_factory=list)
 
     def add(
-        self,
-        paths: tuple[Path, Path],
-        place: Place,
-        depth: np.ndarray,
-        mask: np.ndarray,
-        model: RawModel,
-        T_cam_obj: np.ndarray,
-    ) -> None:
+        self, camera_path: Path, depth_path: Path, place: Place, depth: np.ndarray,
+        mask: np.ndarray, model: CheckedModel, T_cam_obj: np.ndarray,
+    ) -> None:  # fmt: skip
         """Measures one annotation.
 
         Args:
-            paths: scene_camera.json and the depth map.
+            camera_path: scene_camera.json.
+            depth_path: the depth map.
             place: of the annotation.
             depth: (H, W) metres, 0 where there is none.
             mask: bool (H, W) of the visible pixels.
@@ -63,41 +47,37 @@ class DepthCheck:
             T_cam_obj: its pose, (4, 4), metres, which projects onto the mask.
         """
         seen = depth[mask & (depth > 0)]
-        if len(seen) < LEAST_PIXELS:
+        if len(seen) < MIN_PIXELS:
             return
-        z = transform(T_cam_obj, model.vertices)[:, 2]
+        self.measured += 1
+        median, z = float(np.median(seen)), transform(T_cam_obj, model.vertices)[:, 2]
         slack = 0.02 + 0.15 * model.measured
-        self._measured.append(
-            _Measured(
-                *paths, place, model.obj_id, float(np.median(seen)), z.min(), z.max(), slack
+        if not z.min() - slack <= median <= z.max() + slack:
+            ratio = median / ((z.min() + z.max()) / 2)
+            detail = (
+                f"object {model.obj_id}: depth {1e3 * median:.4g} mm, pose "
+                f"{1e3 * z.min():.4g} to {1e3 * z.max():.4g} mm"
             )
-        )  # fmt: skip
+            self.wrong.append((camera_path, depth_path, place, ratio, detail))
 
     def report(self, findings: Findings) -> None:
         """Adds what was found; errors where most annotations disagree, else warnings."""
-        wrong = [m for m in self._measured if m.off]
-        most = 2 * len(wrong) > len(self._measured)
-        for m in wrong:
-            factor = next((s for s in STEPS if 0.8 < m.ratio / s < 1.25), None)
-            detail = (
-                f"object {m.obj_id}: depth {1e3 * m.depth:.4g} mm, pose "
-                f"{1e3 * m.nearest:.4g} to {1e3 * m.farthest:.4g} mm"
-            )
+        problem = "depth maps disagree with the poses"
+        add = findings.error if 2 * len(self.wrong) > self.measured else findings.warning
+        for camera_path, depth_path, place, ratio, detail in self.wrong:
+            factor = next((s for s in STEPS if 0.8 < ratio / s < 1.25), None)
             if factor is not None:
                 way = f"divide depth_scale by {factor:g}"
                 if factor < 1:
                     way = f"multiply depth_scale by {1 / factor:g}"
                 findings.error(
-                    m.camera_path, "depth_scale", "depth maps disagree with the poses",
-                    place=m.place, detail=detail,
+                    camera_path, "depth_scale", problem, place=place, detail=detail,
                     cause=f"depth_scale is {factor:g} times what it must be",
                     remedy=f"{way}: it is the millimetres of one step",
                 )  # fmt: skip
                 continue
-            add = findings.error if most else findings.warning
             add(
-                m.depth_path, "pixels", "depth maps disagree with the poses", place=m.place,
-                detail=detail,
+                depth_path, "pixels", problem, place=place, detail=detail,
                 cause="the map is another picture's, is not aligned with the colour camera, or "
                 "something hides the object that its mask does not know",
                 remedy="register depth to colour, and check that files belong together",

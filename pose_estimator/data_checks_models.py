@@ -10,9 +10,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from ..assets.surface_colours import sample_colors
-from .bop_raw_models import RawModel
 from .data_checks_cameras import rigid_or_nan
 from .data_findings import Findings
+from .data_models import CheckedModel
 from .geometry import make_transform
 
 SIZES = (0.003, 5.0)
@@ -28,7 +28,7 @@ _POINTS = 600
 _DENSE = 20_000
 
 
-def check_models(models: Iterable[RawModel], findings: Findings) -> None:
+def check_models(models: Iterable[CheckedModel], findings: Findings) -> None:
     """Checks every object on its own."""
     for model in models:
         if model.mesh is None:
@@ -38,57 +38,56 @@ def check_models(models: Iterable[RawModel], findings: Findings) -> None:
         _check_symmetries(model, model.mesh, findings)
 
 
-def _check_units(model: RawModel, findings: Findings) -> bool:
+def _check_units(model: CheckedModel, findings: Findings) -> bool:
     """Whether the mesh is in millimetres, as far as its size tells."""
     low, high = SIZES
     if low <= model.measured <= high:
         return True
-    small = model.measured < low
+    small, path = model.measured < low, model.info.mesh_path
     findings.error(
-        model.path, "vertices", "the mesh is too small" if small else "the mesh is too large",
-        detail=f"{model.path.name} is {_length(model.measured)} across, read as millimetres",
+        path, "vertices", "the mesh is too small" if small else "the mesh is too large",
+        detail=f"{path.name} is {_length(model.measured)} across, read as millimetres",
         cause="it is in metres; BOP has millimetres" if small else "it is not in millimetres",
         remedy="multiply the vertices by 1000" if small else "scale the vertices to millimetres",
     )  # fmt: skip
     return False
 
 
-def _check_sizes(model: RawModel, findings: Findings) -> None:
+def _check_sizes(model: CheckedModel, findings: Findings) -> None:
     """Compares diameter and bounding box with the mesh."""
     assert model.mesh is not None
     name = f"object {model.obj_id}"
-    ratio = model.diameter / model.measured
+    ratio = model.info.diameter / model.measured
     if np.isfinite(ratio) and not 1 - SAME_SIZE <= ratio <= 1 + SAME_SIZE:
-        unit = 0.0008 < ratio < 0.0012 or 800 < ratio < 1200
         findings.error(
             model.info_path, "diameter", "differs from the mesh",
-            detail=f"{name} is said to be {_length(model.diameter)} in diameter, "
+            detail=f"{name} is said to be {_length(model.info.diameter)} in diameter, "
             f"its mesh is {_length(model.measured)}",
-            cause=_other_unit(ratio) if unit else "the mesh was scaled or replaced afterwards",
+            cause=_other_unit(ratio) or "the mesh was scaled or replaced afterwards",
             remedy="give the largest distance between two vertices in millimetres",
         )  # fmt: skip
-    given = np.stack([model.minimum, model.extents])
+    given = np.stack([model.info.minimum, model.info.extents])
     found = np.stack([model.mesh.bounds[0], model.mesh.extents])
     off = np.abs(given - found).max()
     if np.isfinite(off) and off > SAME_SIZE * model.measured:
-        ratio = float(np.median(model.extents / np.maximum(found[1], 1e-12)))
-        unit = 0.0008 < ratio < 0.0012 or 800 < ratio < 1200
+        ratio = float(np.median(model.info.extents / np.maximum(found[1], 1e-12)))
         findings.error(
             model.info_path, "min_x ... size_z", "the bounding box differs from the mesh",
             detail=f"{name}: off by up to {_length(off)}",
-            cause=_other_unit(ratio) if unit else "the mesh was moved, turned or replaced "
-            "afterwards; poses then mean another frame",
+            cause=_other_unit(ratio) or "the mesh was moved, turned or replaced afterwards; poses "
+            "then mean another frame",
             remedy="give minimum and size of the vertices in millimetres",
         )  # fmt: skip
 
 
 def _other_unit(ratio: float) -> str:
-    if ratio < 1:
+    """The cause, where a length is wrong by a factor of about 1000."""
+    if 0.0008 < ratio < 0.0012:
         return "it is in metres; BOP has millimetres"
-    return "it was multiplied by 1000 once too often"
+    return "it was multiplied by 1000 once too often" if 800 < ratio < 1200 else ""
 
 
-def _check_symmetries(model: RawModel, mesh: trimesh.Trimesh, findings: Findings) -> None:
+def _check_symmetries(model: CheckedModel, mesh: trimesh.Trimesh, findings: Findings) -> None:
     points, _, colours = sample_colors([mesh], _POINTS)
     dense, _, dense_colours = sample_colors([mesh], _DENSE)
     tree = KDTree(dense)
@@ -99,8 +98,8 @@ def _check_symmetries(model: RawModel, mesh: trimesh.Trimesh, findings: Findings
         colour = np.abs(dense_colours[nearest] - colours).mean()
         return float(distance.mean()) / model.measured, float(colour)
 
-    listed = {f"symmetries_discrete, number {i}": T for i, T in enumerate(model.symmetries)}
-    for i, (x, y, z, *offset) in enumerate(model.axes):
+    listed = {f"symmetries_discrete, number {i}": T for i, T in enumerate(model.info.discrete)}
+    for i, (x, y, z, *offset) in enumerate(model.info.axes):
         T = _turn(np.array([x, y, z]), np.array(offset), 90)
         listed[f"symmetries_continuous, number {i}"] = T
     for name, T in listed.items():
@@ -121,7 +120,7 @@ def _check_symmetries(model: RawModel, mesh: trimesh.Trimesh, findings: Findings
 
 
 def _check_listed(
-    model: RawModel,
+    model: CheckedModel,
     name: str,
     T: np.ndarray,
     moved: Callable[[np.ndarray], tuple[float, float]],
@@ -168,6 +167,4 @@ def _turn(axis: np.ndarray, offset: np.ndarray, degrees: float) -> np.ndarray:
 
 def _length(metres: float) -> str:
     """A length for people."""
-    if metres >= 1:
-        return f"{metres:.4g} m"
-    return f"{1e3 * metres:.4g} mm"
+    return f"{metres:.4g} m" if metres >= 1 else f"{1e3 * metres:.4g} mm"

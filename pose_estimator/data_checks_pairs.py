@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from .bop_raw import RawScene
-from .bop_raw_models import RawModel
-from .bop_raw_pairs import RawPair
+from .bop_fields import Place
+from .bop_pairs import BopPair
+from .bop_scene import Scene
 from .data_checks_cameras import rigid_or_nan
-from .data_findings import Findings, Place
+from .data_findings import Findings
+from .data_models import CheckedModel
 from .geometry import invert
 from .pose_mistakes import OPENGL
 
@@ -64,9 +65,9 @@ _WORLD_READINGS: tuple[Reading, ...] = (
 
 def check_pairs(
     path: Path,
-    pairs: Sequence[RawPair],
-    scene: RawScene,
-    models: Mapping[int, RawModel],
+    pairs: Mapping[int, BopPair],
+    scene: Scene,
+    models: Mapping[int, CheckedModel],
     believed: np.ndarray,
     findings: Findings,
 ) -> None:
@@ -74,7 +75,7 @@ def check_pairs(
 
     Args:
         path: the file of pairs.
-        pairs: those of the scene.
+        pairs: those of the scene, by their position in the file.
         scene: the scene.
         models: by number.
         believed: bool (N,), which annotations can be relied on.
@@ -82,10 +83,11 @@ def check_pairs(
     """
     poses = _poses(scene, believed)
     images = set(scene.image_id.tolist())
-    for pair in pairs:
-        place = Place(scene.scene_id, pair.first)
-        where = f"pair {pair.number}, pictures {pair.first} and {pair.second}"
-        if lost := [i for i in (pair.first, pair.second) if i not in images]:
+    for number, pair in pairs.items():
+        first, second = pair.ref_image_id, pair.second_image_id
+        place = Place(scene.scene_id, first)
+        where = f"pair {number}, pictures {first} and {second}"
+        if lost := [i for i in (first, second) if i not in images]:
             findings.error(
                 path, "image", "a pair names a picture that is not there", place=place,
                 detail=f"{where}: scene {pair.scene_id} has no picture {lost[0]}",
@@ -103,9 +105,9 @@ def check_pairs(
             )  # fmt: skip
             continue
         shown = [
-            (poses[pair.first, o], poses[pair.second, o], o)
+            (poses[first, o], poses[second, o], o)
             for o in pair.obj_ids
-            if (pair.first, o) in poses and (pair.second, o) in poses
+            if (first, o) in poses and (second, o) in poses
         ]
         if not shown:
             continue
@@ -127,7 +129,7 @@ def check_pairs(
 def _median_distance(
     T: np.ndarray,
     shown: Sequence[tuple[np.ndarray, np.ndarray, int]],
-    models: Mapping[int, RawModel],
+    models: Mapping[int, CheckedModel],
 ) -> float:
     """How far objects are from where T puts them, in what they may be off."""
     distances = []
@@ -140,7 +142,7 @@ def _median_distance(
     return float(np.median(distances))
 
 
-def check_world(scene: RawScene, believed: np.ndarray, findings: Findings) -> None:
+def check_world(scene: Scene, believed: np.ndarray, findings: Findings) -> None:
     """Whether objects stand still in the world that the cameras of a scene say they are in.
 
     Args:
@@ -161,7 +163,7 @@ def check_world(scene: RawScene, believed: np.ndarray, findings: Findings) -> No
         return
     cause, remedy = (
         "the objects moved, or world and object poses are of different recordings",
-        ("leave cam_R_w2c and cam_t_w2c out where objects move"),
+        "leave cam_R_w2c and cam_t_w2c out where objects move",
     )
     for reason, cure, read in _WORLD_READINGS:
         if _moving(tracks, world, read) < 0.1:
@@ -189,7 +191,7 @@ def _moving(
     return float(np.mean(off))
 
 
-def _poses(scene: RawScene, believed: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
+def _poses(scene: Scene, believed: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
     """(image id, obj_id) -> pose, of objects that are in a picture once."""
     rows = scene.annotations
     found: dict[tuple[int, int], np.ndarray] = {}

@@ -5,27 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
-import cv2
 import numpy as np
 
-from .bop_fields import rigid
-from .bop_raw import RawScene
-from .bop_raw_models import RawModel
+from .bop_fields import MM, Place, rigid
+from .bop_scene import Scene
 from .data_checks_boxes import check_mask
 from .data_checks_cameras import check_size
 from .data_checks_depth import DepthCheck
-from .data_checks_projection import (
-    FAIR,
-    GOOD,
-    LEAST_PIXELS,
-    LEAST_VISIBLE,
-    Projection,
-)
-from .data_findings import Findings, Place
+from .data_checks_projection import FAIR, GOOD, MIN_PIXELS, MIN_VISIBLE, Projection
+from .data_findings import Findings
+from .data_models import CheckedModel
 from .geometry import check_intrinsics
+from .input_files import read_image
 from .projection_score import Evidence
-from .whole_pictures import is_whole
 
 
 @dataclass
@@ -44,7 +38,7 @@ class PictureCheck:
             their poses.
     """
 
-    models: Mapping[int, RawModel]
+    models: Mapping[int, CheckedModel]
     camera_size: tuple[int, int] | None
     findings: Findings
     depth: DepthCheck = field(default_factory=DepthCheck)
@@ -53,7 +47,7 @@ class PictureCheck:
     projected: int = 0
     set_aside: int = 0
 
-    def look(self, scene: RawScene, image_id: int, whole: np.ndarray) -> tuple[int, int]:
+    def look(self, scene: Scene, image_id: int, whole: np.ndarray) -> tuple[int, int]:
         """Looks at one picture.
 
         Args:
@@ -64,17 +58,15 @@ class PictureCheck:
         Returns:
             How many projections were wrong, and how many were compared.
         """
-        picture = scene.pictures.get(image_id)
-        place = Place(scene.scene_id, image_id)
-        rgb = None if picture is None else self._open(picture, cv2.IMREAD_COLOR, place)
-        if picture is None or rgb is None:
+        picture, place = scene.images[image_id], Place(scene.scene_id, image_id)
+        rgb = self._open(picture, "RGB", place)
+        if rgb is None:
             return 0, 0
         self.looked += 1
         shape = (rgb.shape[0], rgb.shape[1])
         check_size(picture, shape, self.camera_size, place, self.findings)
         depth = self._depth(scene, image_id, shape, place)
-        row_of_camera = int(np.flatnonzero(scene.image_id == image_id)[0])
-        K = scene.K[row_of_camera]
+        K = scene.K[scene.image_id == image_id][0]
         try:
             check_intrinsics(K)
         except ValueError:
@@ -89,7 +81,7 @@ class PictureCheck:
 
     def _annotation(
         self,
-        scene: RawScene,
+        scene: Scene,
         row: int,
         picture: Path,
         shape: tuple[int, int],
@@ -99,11 +91,11 @@ class PictureCheck:
     ) -> float | None:
         """Checks one annotation's mask, projection and depth; returns the projection's score."""
         rows = scene.annotations
-        place = rows.place(scene.scene_id, row)
-        path = scene.folder / "mask_visib" / f"{rows.image_id[row]:06d}_{rows.index[row]:06d}.png"
+        place = scene.place(row)
+        path = scene.mask_path(row)
         mask = None
         if path.is_file():
-            grey = self._open(path, cv2.IMREAD_GRAYSCALE, place)
+            grey = self._open(path, "L", place)
             if grey is None:
                 return None
             mask = grey > 0
@@ -114,7 +106,7 @@ class PictureCheck:
         evidence = _evidence(scene, row, shape, mask)
         if not whole or model is None or not len(model.vertices) or evidence is None:
             return None
-        T = rigid(rows.T_cam_obj[row : row + 1].copy(), [""])[0]
+        T = rigid(rows.T_cam_obj[row : row + 1].copy())[0]
         projection = Projection(
             place=place,
             gt_path=scene.gt_path,
@@ -130,21 +122,21 @@ class PictureCheck:
         if score < GOOD:
             self.suspects.append(projection)
         if score >= FAIR and depth is not None and mask is not None:
-            paths = scene.camera_path, scene.depths[int(rows.image_id[row])]
-            self.depth.add(paths, place, depth, mask, model, T)
+            depth_path = scene.depths[int(rows.image_id[row])]
+            self.depth.add(scene.camera_path, depth_path, place, depth, mask, model, T)
         return score
 
     def _depth(
-        self, scene: RawScene, image_id: int, shape: tuple[int, int], place: Place
+        self, scene: Scene, image_id: int, shape: tuple[int, int], place: Place
     ) -> np.ndarray | None:
         """The depth map in metres, or None."""
         path = scene.depths.get(image_id)
         if path is None:
             return None
-        steps = self._open(path, cv2.IMREAD_UNCHANGED, place)
+        steps = self._open(path, None, place)
         if steps is None:
             return None
-        if steps.ndim != 2 or steps.dtype == np.uint8:
+        if steps.ndim != 2 or steps.dtype.itemsize < 2:
             self.findings.error(
                 path, "pixels", "a depth map is no map of 16 bits", place=place,
                 detail=f"{steps.dtype} of shape {steps.shape}",
@@ -166,37 +158,34 @@ class PictureCheck:
                 remedy="remove it, or record it anew",
             )  # fmt: skip
             return None
-        return scene.depth(image_id, steps)
+        return steps * (scene.depth_scale[scene.image_id == image_id][0] / MM)
 
-    def _open(self, path: Path, flags: int, place: Place) -> np.ndarray | None:
-        """A picture file, or None with a finding."""
-        picture = None
+    def _open(
+        self, path: Path, mode: Literal["RGB", "L"] | None, place: Place
+    ) -> np.ndarray | None:
+        """An image file, or None with a finding."""
         try:
-            data = path.read_bytes()
-            if data and is_whole(data):
-                picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-        except (OSError, cv2.error):
-            pass
-        if picture is None:
+            return read_image(path, mode)
+        except (OSError, ValueError):
             self.findings.error(
                 path, "pixels", "cannot be read as a picture", place=place,
                 detail=f"{path.stat().st_size} bytes" if path.exists() else "",
                 cause="truncated by a full disk or a broken download",
                 remedy="fetch or write it again",
             )  # fmt: skip
-        return picture
+            return None
 
 
 def _evidence(
-    scene: RawScene, row: int, shape: tuple[int, int], mask: np.ndarray | None
+    scene: Scene, row: int, shape: tuple[int, int], mask: np.ndarray | None
 ) -> Evidence | None:
     """What is known of where an object is, if it is enough to judge by."""
     rows = scene.annotations
     visible = float(rows.visibility[row])
-    if visible < LEAST_VISIBLE:
+    if visible < MIN_VISIBLE:
         return None
     if mask is not None:
-        return Evidence.of_mask(mask, visible) if mask.sum() >= LEAST_PIXELS else None
+        return Evidence.of_mask(mask, visible) if mask.sum() >= MIN_PIXELS else None
     for given, amodal in ((rows.bbox_obj[row], True), (rows.bbox_visib[row], False)):
         if not np.isnan(given).any() and (given[2:] > 0).all() and given[2] * given[3] >= 60:
             box = np.concatenate([given[:2], given[:2] + given[2:]])

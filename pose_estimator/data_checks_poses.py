@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from .bop_fields import ROTATION_TOLERANCE
-from .bop_raw import UNKNOWN, RawScene
-from .bop_raw_models import RawModel
+from .bop_scene import UNKNOWN, Scene
 from .data_findings import Findings
+from .data_models import CheckedModel
 
 NEAREST, FARTHEST = 0.5, 1000.0
 """Distances from the camera, in diameters of the object, between which a translation can be."""
@@ -19,7 +19,7 @@ SAME_PLACE = 1e-3
 
 
 def check_poses(
-    scene: RawScene, models: Mapping[int, RawModel], findings: Findings
+    scene: Scene, models: Mapping[int, CheckedModel], findings: Findings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Checks the annotations' numbers, without looking at pictures.
 
@@ -36,7 +36,7 @@ def check_poses(
         if models:
             findings.error(
                 scene.gt_path, "obj_id", "the object has no model",
-                place=rows.place(scene.scene_id, row), detail=f"obj_id {rows.obj_id[row]}",
+                place=scene.place(row), detail=f"obj_id {rows.obj_id[row]}",
                 cause="the models are another dataset's, or objects were numbered anew",
                 remedy="add the model, or correct obj_id",
             )  # fmt: skip
@@ -48,7 +48,7 @@ def check_poses(
     return whole, believed
 
 
-def _wrong_rotations(scene: RawScene, whole: np.ndarray, findings: Findings) -> np.ndarray:
+def _wrong_rotations(scene: Scene, whole: np.ndarray, findings: Findings) -> np.ndarray:
     """Which rows have a matrix that is no rotation; recorded data may be off by 5 percent."""
     rotations = np.where(whole[:, None, None], scene.annotations.T_cam_obj[:, :3, :3], np.eye(3))
     product = rotations @ rotations.swapaxes(1, 2)
@@ -65,7 +65,7 @@ def _wrong_rotations(scene: RawScene, whole: np.ndarray, findings: Findings) -> 
             cause = "numbers are wrong, or of a quaternion or Euler angles"
         findings.error(
             scene.gt_path, "cam_R_m2c", "is not a rotation", cause=cause,
-            place=scene.annotations.place(scene.scene_id, row),
+            place=scene.place(row),
             detail=f"determinant {determinant[row]:.3f}, off orthonormal by {error[row]:.2g}",
             remedy="give an orthonormal matrix of determinant +1, row by row",
         )  # fmt: skip
@@ -73,7 +73,7 @@ def _wrong_rotations(scene: RawScene, whole: np.ndarray, findings: Findings) -> 
 
 
 def _wrong_distances(
-    scene: RawScene, whole: np.ndarray, diameters: np.ndarray, findings: Findings
+    scene: Scene, whole: np.ndarray, diameters: np.ndarray, findings: Findings
 ) -> np.ndarray:
     """Which rows put the object behind the camera, around it or out of sight."""
     rows = scene.annotations
@@ -98,13 +98,13 @@ def _wrong_distances(
         findings.error(
             scene.gt_path, "cam_t_m2c",
             "the camera is inside of the object" if near[row] else "the object is too far away",
-            place=rows.place(scene.scene_id, row), detail=f"{size}, {where}", cause=cause,
+            place=scene.place(row), detail=f"{size}, {where}", cause=cause,
             remedy=remedy,
         )  # fmt: skip
     for row in np.flatnonzero(behind).tolist():
         findings.error(
             scene.gt_path, "cam_t_m2c", "the object is behind the camera",
-            place=rows.place(scene.scene_id, row),
+            place=scene.place(row),
             detail=f"z = {1e3 * translation[row, 2]:.4g} mm",
             cause="the camera's axes are OpenGL's (y up, z backward), or the pose is inverted",
             remedy="multiply poses by diag(1, -1, -1, 1) from the left: OpenCV has z forward",
@@ -112,7 +112,7 @@ def _wrong_distances(
     return near | far | behind
 
 
-def _check_twice(scene: RawScene, whole: np.ndarray, findings: Findings) -> None:
+def _check_twice(scene: Scene, whole: np.ndarray, findings: Findings) -> None:
     """Two annotations of one object in one place."""
     rows = scene.annotations
     candidates = np.flatnonzero(whole)
@@ -129,7 +129,7 @@ def _check_twice(scene: RawScene, whole: np.ndarray, findings: Findings) -> None
         if row != other:
             findings.error(
                 scene.gt_path, "obj_id", "an object is annotated twice",
-                place=rows.place(scene.scene_id, row),
+                place=scene.place(row),
                 detail=f"object {rows.obj_id[row]} stands where annotation "
                 f"{rows.index[other]} says",
                 cause="annotations were joined", remedy="remove one of the two and its masks",

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .bop_raw_models import RawModel
-from .data_findings import Findings, Place
+from .bop_fields import Place
+from .data_findings import Findings
+from .data_models import CheckedModel
 from .geometry import project, transform
 from .pose_mistakes import Correction, corrections
 from .projection_score import Evidence
@@ -28,11 +29,11 @@ SHARE = 0.3
 """Share of a dataset's wrong projections that a cause must explain to be named at all."""
 
 SHIFTED = "shifted"
-LEAST_SHIFTED = 3
+MIN_SHIFTED = 3
 """A single projection beside its mask is a wrong translation; several are shifted masks."""
 
-LEAST_PIXELS = 60
-LEAST_VISIBLE = 0.15
+MIN_PIXELS = 60
+MIN_VISIBLE = 0.15
 """Less of an object than that says nothing about its pose."""
 
 
@@ -60,7 +61,7 @@ class Projection:
     camera_path: Path
     mask_path: Path | None
     picture: Path
-    model: RawModel
+    model: CheckedModel
     T_cam_obj: np.ndarray
     K: np.ndarray
     evidence: Evidence
@@ -112,7 +113,7 @@ def explain(suspects: Sequence[Projection]) -> list[Projection]:
     wrong = [p for p in suspects if p.score < FAIR]
     support = Counter(reading.name for p in wrong for reading, _ in p.readings)
     believed = {name for name, count in support.items() if count >= SHARE * len(wrong)}
-    if support[SHIFTED] < LEAST_SHIFTED:
+    if support[SHIFTED] < MIN_SHIFTED:
         believed.discard(SHIFTED)
     for projection in suspects:
         known = [(r, s) for r, s in projection.readings if r.name in believed]
@@ -126,18 +127,16 @@ def explain(suspects: Sequence[Projection]) -> list[Projection]:
 def report(wrong: Sequence[Projection], findings: Findings) -> None:
     """Adds a finding for each wrong projection."""
     for projection in wrong:
-        masked = projection.evidence.mask is not None
+        masked = projection.mask_path is not None
         problem = f"the object does not project onto its {'mask' if masked else 'box'}"
         cause = projection.cause
-        file, name = projection.gt_path, "cam_R_m2c, cam_t_m2c"
-        if cause is not None:
-            name = cause.field
-            if name == "cam_K":
-                file = projection.camera_path
-            elif name == "pixels" and projection.mask_path is not None:
-                file = projection.mask_path
-            elif name == "bbox_visib":
-                file = projection.gt_path.with_name("scene_gt_info.json")
+        file, name = projection.gt_path, cause.field if cause else "cam_R_m2c, cam_t_m2c"
+        if name == "cam_K":
+            file = projection.camera_path
+        elif name == "pixels" and projection.mask_path is not None:
+            file = projection.mask_path
+        elif name == "bbox_visib":
+            file = projection.gt_path.with_name("scene_gt_info.json")
         add = findings.error if cause is not None or projection.score < POOR else findings.warning
         detail = f"object {projection.model.obj_id} matches to {100 * projection.score:.0f} %"
         if cause is not None:

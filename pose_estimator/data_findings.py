@@ -7,31 +7,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from .bop_fields import Place
+
 Severity = Literal["error", "warning"]
 
 KEPT = 100
 """So many findings of a group are kept in full; the others are counted."""
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif")
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where in a dataset something stands; None where it does not apply.
-
-    Attributes:
-        scene: number of the scene.
-        image: number of the picture.
-        annotation: position in the picture's list of annotations.
-    """
-
-    scene: int | None = None
-    image: int | None = None
-    annotation: int | None = None
-
-    def __str__(self) -> str:
-        names = {"scene": self.scene, "image": self.image, "annotation": self.annotation}
-        return ", ".join(f"{name} {number}" for name, number in names.items() if number is not None)
 
 
 @dataclass(frozen=True)
@@ -130,21 +113,11 @@ class Findings:
 
     def records(self) -> list[dict[str, Any]]:
         """Records of a results file: each group with its count and its first example."""
-        return [
-            {
-                "metric": "findings",
-                "value": group.count,
-                "unit": "1",
-                "severity": group.first.severity,
-                "file": str(group.first.file),
-                "field": group.first.field,
-                "problem": group.first.problem,
-                "cause": group.first.cause,
-                "remedy": group.first.remedy,
-                "scene": group.first.place.scene,
-                "image": group.first.place.image,
-                "annotation": group.first.place.annotation,
-                "detail": group.first.detail,
-            }
-            for group in self.groups()
-        ]
+        records = []
+        for group in self.groups():
+            first, count = group.first, {"metric": "findings", "value": group.count, "unit": "1"}
+            names = ("severity", "field", "problem", "cause", "remedy", "detail")
+            words = {name: getattr(first, name) for name in names}
+            place = {name: getattr(first.place, name) for name in ("scene", "image", "annotation")}
+            records.append(count | {"file": str(first.file)} | words | place)
+        return records

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
+import textwrap
+from collections.abc import Iterable, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import numpy as np
 from .data_checks_projection import Projection
 from .input_files import read_image
 from .overlay import outline
+from .projection_score import Evidence
 from .results import write_atomically
 
 MASK = "#19d3f3"
@@ -19,29 +22,37 @@ WRITTEN = "#ff3b30"
 CORRECTED = "#ffd60a"
 
 
-def choose(wrong: Iterable[Projection], count: int) -> list[Projection]:
+def draw_overlays(wrong: Iterable[Projection], folder: Path, count: int) -> list[Path]:
+    """Writes at most ``count`` overlays into a folder; returns their paths.
+
+    Raises:
+        ValueError: if an image cannot be decoded.
+        OSError: if a file cannot be read or written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for projection in _choose(wrong, count):
+        place, split = projection.place, projection.gt_path.parent.parent.name
+        name = f"{split}_{place.scene:06d}_{place.image:06d}_{place.annotation:02d}.png"
+        _draw(projection, folder / name)
+        paths.append(folder / name)
+    return paths
+
+
+def _choose(wrong: Iterable[Projection], count: int) -> list[Projection]:
     """At most ``count`` projections, of as many causes and objects as there are, the best seen."""
     groups: dict[tuple[str, int], list[Projection]] = {}
     for p in sorted(wrong, key=lambda p: -np.nan_to_num(p.evidence.visibility)):
         groups.setdefault((p.cause.name if p.cause else "", p.model.obj_id), []).append(p)
-    chosen: list[Projection] = []
-    while groups and len(chosen) < count:
-        for key in list(groups):
-            chosen.append(groups[key].pop(0))
-            if not groups[key]:
-                del groups[key]
-    return chosen[:count]
+    turns = zip_longest(*groups.values())
+    return [p for turn in turns for p in turn if p is not None][:count]
 
 
-def draw(projection: Projection, path: Path) -> None:
+def _draw(projection: Projection, path: Path) -> None:
     """Writes one overlay as a PNG.
 
     Left the model as the files put it, right as it is when the cause is undone, where one was
     found; in both what the mask, or without one the box, says.
-
-    Raises:
-        ValueError: if the picture cannot be read.
-        OSError: if a file cannot be read or written.
     """
     from matplotlib.figure import Figure
 
@@ -51,11 +62,12 @@ def draw(projection: Projection, path: Path) -> None:
         readings.append(("as corrected", CORRECTED, cause.T_cam_obj, cause.K))
     figure = Figure(figsize=(6 * len(readings), 5.4), dpi=100, layout="constrained")
     panels = figure.subplots(1, len(readings), squeeze=False)[0]
-    frame = _frame(projection)
-    for panel, (title, colour, T, K) in zip(panels, readings, strict=True):
+    shape = projection.evidence.shape
+    outlines = [outline(projection.model, T, K, shape) for _, _, T, K in readings]
+    frame = _frame(projection.evidence, [c for found in outlines for c in found])
+    for panel, contours, (title, colour, T, K) in zip(panels, outlines, readings, strict=True):
         panel.imshow(picture)
-        _draw_evidence(panel, projection)
-        contours = outline(projection.model, T, K, projection.evidence.shape)
+        _draw_evidence(panel, projection.evidence)
         for contour in contours:
             closed = np.concatenate([contour, contour[:1]])
             panel.plot(*closed.T, color="black", linewidth=3.5)
@@ -67,23 +79,15 @@ def draw(projection: Projection, path: Path) -> None:
         panel.set(xlim=frame[0], ylim=frame[1], xticks=[], yticks=[])
         panel.legend(loc="lower right", fontsize=9, framealpha=0.85)
     where = f"{projection.place}, object {projection.model.obj_id}"
-    reason = _wrapped(cause.cause) if cause else "no common mistake explains it"
+    reason = textwrap.fill(cause.cause, 90) if cause else "no common mistake explains it"
     figure.suptitle(f"{where}\n{reason}", fontsize=12)
     content = io.BytesIO()
     figure.savefig(content, format="png")
     write_atomically(path, content.getvalue())
 
 
-def file_name(projection: Projection) -> str:
-    """A name that says where the annotation stands."""
-    place = projection.place
-    split = projection.gt_path.parent.parent.name
-    return f"{split}_{place.scene:06d}_{place.image:06d}_{place.annotation:02d}.png"
-
-
-def _draw_evidence(panel: Any, projection: Projection) -> None:
+def _draw_evidence(panel: Any, evidence: Evidence) -> None:
     """The mask as a tint, or the box."""
-    evidence = projection.evidence
     left, top, right, bottom = evidence.box
     if evidence.mask is not None:
         tint = evidence.mask[..., None] * np.array([0.1, 0.83, 0.95, 0.55])
@@ -96,16 +100,13 @@ def _draw_evidence(panel: Any, projection: Projection) -> None:
         panel.plot(*corners, color=MASK, linewidth=2, linestyle="--", label=label)
 
 
-def _frame(projection: Projection) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The part of the picture to show: all that is drawn, with air, and no less than a quarter."""
-    height, width = projection.evidence.shape
-    boxes = [projection.evidence.box]
-    poses = [(projection.T_cam_obj, projection.K)]
-    if projection.cause is not None:
-        poses.append((projection.cause.T_cam_obj, projection.cause.K))
-    for T, K in poses:
-        for contour in outline(projection.model, T, K, (height, width)):
-            boxes.append(np.concatenate([contour.min(axis=0), contour.max(axis=0)]))
+def _frame(
+    evidence: Evidence, contours: Sequence[np.ndarray]
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The part of the image to show: all that is drawn, with air, and no less than a quarter."""
+    height, width = evidence.shape
+    boxes = [np.concatenate([contour.min(axis=0), contour.max(axis=0)]) for contour in contours]
+    boxes.append(evidence.box)
     stacked = np.clip(np.stack(boxes), 0, (width, height) * 2)
     low, high = stacked[:, :2].min(axis=0), stacked[:, 2:].max(axis=0)
     side = min(max(1.4 * max(high - low), width / 4), max(width, height))
@@ -113,9 +114,3 @@ def _frame(projection: Projection) -> tuple[tuple[float, float], tuple[float, fl
     centre = np.minimum(centre, np.maximum((width, height) - np.array(side) / 2, side / 2))
     (left, top), (right, bottom) = centre - side / 2, centre + side / 2
     return (left - 0.5, min(right, width) - 0.5), (min(bottom, height) - 0.5, top - 0.5)
-
-
-def _wrapped(text: str) -> str:
-    import textwrap
-
-    return "\n".join(textwrap.wrap(text, 90))

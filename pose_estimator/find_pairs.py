@@ -1,14 +1,13 @@
 """Two-view pairs of any BOP dataset, also of one that comes without a list of them.
 
-Which two pictures make a pair is taken from ``two_view_pairs.json``; else from the cameras' poses
+Which two images make a pair is taken from ``two_view_pairs.json``; else from the cameras' poses
 in the world (``cam_R_w2c``); else from the objects: where two or more keep their places to each
-other from one picture to the next, they stood still, and how the camera moved follows from them.
+other from one image to the next, they stood still, and how the camera moved follows from them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,37 +15,29 @@ import numpy as np
 from .bop import BopDataset, BopImage
 from .bop_models_info import read_models_info
 from .bop_pairs import PAIRS_FILE, BopPair, read_pairs
+from .bop_targets import LEAST_VISIBLE
 from .geometry import invert
 
 STILL_METRES = 0.005
 STILL_DEGREES = 2.0
 """An object that is farther from where it would be if it had stood still was moved."""
 
-MOST_TURNS = 8
+MAX_SYMMETRIES = 8
 """An object with more symmetries than that does not say how the camera moved."""
 
 
-@dataclass(frozen=True)
-class PairSearch:
-    """Which pairs of a dataset to take.
+BASELINES = (10.0, 60.0)
+"""Smallest and largest angle in degrees between the two rays from an object to the cameras, in the
+mean over the objects that stood still."""
 
-    Attributes:
-        baselines: smallest and largest angle in degrees between the two rays from an object to the
-            cameras, in the mean over the objects that stood still.
-        per_reference: most pairs with one reference view; they are spread over the baselines.
-        images_per_scene: of a longer scene so many pictures, evenly spread, are looked at.
-        least_visible: visible fraction in the reference view from which on an object counts.
-    """
+MAX_PER_REFERENCE = 4
+"""Most pairs with one reference view; they are spread over the baselines."""
 
-    baselines: tuple[float, float] = (10.0, 60.0)
-    per_reference: int = 4
-    images_per_scene: int = 200
-    least_visible: float = 0.1
+MAX_IMAGES = 200
+"""Of a longer scene so many images, evenly spread, are looked at."""
 
 
-def find_pairs(
-    dataset: BopDataset, pairs: Path | None = None, search: PairSearch = PairSearch()
-) -> tuple[BopPair, ...]:
+def find_pairs(dataset: BopDataset, pairs: Path | None = None) -> tuple[BopPair, ...]:
     """The pairs of a split: those that a file lists, else those that can be found.
 
     The same files give the same pairs.
@@ -54,7 +45,6 @@ def find_pairs(
     Args:
         dataset: the split.
         pairs: a file of pairs; none = ``two_view_pairs.json`` of the dataset where it has one.
-        search: what to look for where there is no file.
 
     Raises:
         ValueError: if a file is broken, or no pair can be found.
@@ -64,9 +54,9 @@ def find_pairs(
     symmetries = _read_symmetries(dataset.root)
     found: list[BopPair] = []
     for scene_id in dataset.scene_ids:
-        found += pairs_of_scene(list(dataset.scene(scene_id).values()), symmetries, search)
+        found += pairs_of_scene(list(dataset.scene(scene_id).values()), symmetries)
     if not found:
-        low, high = search.baselines
+        low, high = BASELINES
         raise ValueError(
             f"{dataset.root / dataset.split} has no {PAIRS_FILE}, and no two pictures of a scene "
             f"show an object that stood still from {low:g} to {high:g} degrees apart"
@@ -75,40 +65,37 @@ def find_pairs(
 
 
 def pairs_of_scene(
-    images: Sequence[BopImage],
-    symmetries: Mapping[int, np.ndarray],
-    search: PairSearch = PairSearch(),
+    images: Sequence[BopImage], symmetries: Mapping[int, np.ndarray]
 ) -> list[BopPair]:
     """The pairs of one scene, by reference view and rising baseline.
 
-    Where all pictures know their cameras in the world, that is how the camera moved. Else each
-    object that both pictures show proposes a motion, and the one that most objects agree with is
-    taken; a lone object is believed. Objects that a picture shows twice are left out, since which
-    one is meant cannot be told.
+    Where all images know their cameras in the world, that is how the camera moved. Else each
+    object that both images show proposes a motion, and the one that most objects agree with is
+    taken; the motion of a single object is taken as it is. Objects that an image shows twice are
+    left out, since which one is meant cannot be told.
 
     Args:
         images: of the scene, ascending.
         symmetries: obj_id -> transforms (S, 4, 4) under which it looks the same, identity first.
-        search: what to look for.
     """
-    if len(images) > search.images_per_scene:
-        chosen = np.linspace(0, len(images) - 1, search.images_per_scene).round().astype(int)
+    if len(images) > MAX_IMAGES:
+        chosen = np.linspace(0, len(images) - 1, MAX_IMAGES).round().astype(int)
         images = [images[i] for i in chosen]
     scene = _Scene(images, symmetries)
     found = []
     for reference in range(len(images)):
-        visible = scene.visibility[reference] >= search.least_visible
+        visible = scene.visibility[reference] >= LEAST_VISIBLE
         T_second_ref, still = scene.motions(reference)
         baselines = scene.baselines(reference, T_second_ref)
         still &= visible
         still[reference] = False
         count = still.sum(axis=1)
         mean = np.where(still, baselines, 0).sum(axis=1) / np.maximum(count, 1)
-        low, high = search.baselines
-        seconds = np.flatnonzero((count > 0) & (mean >= low) & (mean <= high))
+        within = (mean >= BASELINES[0]) & (mean <= BASELINES[1])
+        seconds = np.flatnonzero((count > 0) & within)
         seconds = seconds[np.argsort(mean[seconds], kind="stable")]
-        if len(seconds) > search.per_reference:
-            places = (np.arange(search.per_reference) + 0.5) * len(seconds) / search.per_reference
+        if len(seconds) > MAX_PER_REFERENCE:
+            places = (np.arange(MAX_PER_REFERENCE) + 0.5) * len(seconds) / MAX_PER_REFERENCE
             seconds = seconds[places.astype(int)]
         for second in seconds.tolist():
             found.append(
@@ -127,7 +114,7 @@ def pairs_of_scene(
 
 
 class _Scene:
-    """The poses of a scene as arrays: pictures by objects; NaN where an object is not shown."""
+    """The poses of a scene as arrays: images by objects; NaN where an object is not shown."""
 
     def __init__(self, images: Sequence[BopImage], symmetries: Mapping[int, np.ndarray]):
         shown = [[a.obj_id for a in image.annotations] for image in images]
@@ -158,7 +145,9 @@ class _Scene:
         for o in sorted(range(objects), key=lambda o: (len(self.symmetries[o]), o)):
             if np.isnan(self.T[reference, o, 0, 0]):
                 continue
-            turns = self.symmetries[o] if len(self.symmetries[o]) <= MOST_TURNS else np.eye(4)[None]
+            turns = (
+                self.symmetries[o] if len(self.symmetries[o]) <= MAX_SYMMETRIES else np.eye(4)[None]
+            )
             for S in turns:
                 T = self.T[:, o] @ S @ invert(self.T[reference, o])
                 still = self._still(reference, T)

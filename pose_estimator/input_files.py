@@ -4,24 +4,44 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 
-def read_image(path: Path) -> np.ndarray:
-    """Reads a picture file as RGB uint8, (H, W, 3).
+def read_image(path: Path, mode: Literal["RGB", "L"] | None = "RGB") -> np.ndarray:
+    """Decodes an image file.
+
+    Args:
+        path: the file.
+        mode: ``RGB``; ``L`` for gray; None for what the file holds, such as depth of 16 bits.
+
+    Returns:
+        uint8, (H, W, 3) for RGB and (H, W) for gray; else the file's own type and channels.
 
     Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if it is not a picture.
+        OSError: if the file cannot be opened.
+        ValueError: if it is not an image, or truncated or damaged.
     """
     try:
-        with Image.open(path) as picture:
-            return np.asarray(picture.convert("RGB"))
-    except UnidentifiedImageError as error:
-        raise ValueError(f"image {path} is not a picture file (PNG, JPEG, ...)") from error
+        with Image.open(path) as image:
+            return np.array(image if mode in (None, image.mode) else image.convert(mode))
+    except Exception as error:  # readers of broken files fail in every way there is
+        if getattr(error, "errno", None):
+            raise
+        what = "is not a picture file (PNG, JPEG, ...), or it is truncated"
+        raise ValueError(f"image {path} {what}") from error
+
+
+def read_image_size(path: Path) -> tuple[int, int]:
+    """Height and width that an image file's header says.
+
+    Raises:
+        OSError: if the file cannot be opened, or is not an image.
+    """
+    with Image.open(path) as image:
+        return image.height, image.width
 
 
 def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray:
@@ -78,14 +98,9 @@ def read_depth_map(path: Path, unit: float | None = None) -> np.ndarray:
     if unit is not None and not 0 < unit < float("inf"):
         raise ValueError(f"depth_unit must be positive metres a step, got {unit}")
     try:
-        if path.suffix == ".npy":
-            steps = np.load(path, allow_pickle=False)
-        else:
-            with Image.open(path) as picture:
-                steps = np.asarray(picture)
-    except FileNotFoundError:
-        raise
-    except (OSError, EOFError, ValueError) as error:
+        npy = path.suffix == ".npy"
+        steps = np.load(path, allow_pickle=False) if npy else read_image(path, None)
+    except (EOFError, ValueError) as error:
         raise ValueError(f"depth {path} is neither a picture file nor a .npy array") from error
     if steps.ndim != 2 or steps.dtype.kind not in "uif" or steps.dtype == np.uint8:
         raise ValueError(

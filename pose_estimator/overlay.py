@@ -1,8 +1,8 @@
-"""Draws a posed object into a picture: its silhouette, its outline, an enlarged detail."""
+"""Draws a posed object into a image: its silhouette, its outline, an enlarged detail."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Protocol
 
 import cv2
@@ -15,6 +15,7 @@ ESTIMATE_COLOUR = (255, 122, 26)
 
 _NEAR = 0.01  # metres; nearer faces are left out of a silhouette
 _SHIFT = 4  # cv2's fixed point: 1/16 of a pixel
+_THICKNESS = 2  # pixels
 _LIMIT = 2**20 / 2**_SHIFT  # pixels; what lies further out is of no interest
 
 
@@ -37,7 +38,7 @@ def silhouette(
         model: the object.
         T_cam_obj: object to OpenCV camera, (4, 4), metres.
         K: camera matrix, (3, 3), pixels.
-        shape: height and width of the picture.
+        shape: height and width of the image.
 
     Returns:
         Mask (height, width), uint8, 255 inside; empty where the object is behind the camera.
@@ -66,23 +67,18 @@ def outline(
         model: the object.
         T_cam_obj: object to OpenCV camera, (4, 4), metres.
         K: camera matrix, (3, 3), pixels.
-        shape: height and width of the picture.
+        shape: height and width of the image.
 
     Returns:
-        Closed contours, each (N, 2) float64 pixels; none if the object is out of the picture.
+        Closed contours, each (N, 2) float64 pixels; none if the object is out of the image.
 
     Raises:
         ValueError: if the pose is not rigid or K is no camera matrix.
     """
     # Contours run along pixel centres: rasterise finer, with a margin that the frame cuts off.
     scale, margin = 3, 4
-    lift = np.array(
-        [
-            [scale, 0.0, scale * margin + (scale - 1) / 2],
-            [0.0, scale, scale * margin + (scale - 1) / 2],
-            [0.0, 0.0, 1.0],
-        ]
-    )
+    offset = scale * margin + (scale - 1) / 2
+    lift = np.array([[scale, 0.0, offset], [0.0, scale, offset], [0.0, 0.0, 1.0]])
     fine_shape = (scale * (shape[0] + 2 * margin), scale * (shape[1] + 2 * margin))
     mask = silhouette(model, T_cam_obj, lift @ check_intrinsics(K), fine_shape)
     contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
@@ -91,50 +87,27 @@ def outline(
     ]
 
 
-def draw_outline(
-    image: np.ndarray,
-    contours: Sequence[np.ndarray],
-    colour: tuple[int, int, int],
-    thickness: int = 2,
-) -> np.ndarray:
-    """A copy of the picture with closed, anti-aliased contours on it.
-
-    Args:
-        image: RGB uint8, (H, W, 3).
-        contours: from ``outline``, each (N, 2) pixels.
-        colour: RGB, 0 to 255.
-        thickness: pixels.
-
-    Raises:
-        ValueError: if the image is not uint8 RGB.
-    """
-    canvas = np.ascontiguousarray(check_image(image)).copy()
-    polygons = [np.round(contour * 2**_SHIFT).astype(np.int32) for contour in contours]
-    if polygons:
-        cv2.polylines(canvas, polygons, True, colour, thickness, cv2.LINE_AA, _SHIFT)
-    return canvas
-
-
 def draw_poses(
     image: np.ndarray,
     model: Shape,
     poses: Mapping[tuple[int, int, int], np.ndarray],
     K: np.ndarray,
-    thickness: int = 2,
 ) -> np.ndarray:
-    """A copy of the picture with the object outlined in each pose.
+    """A copy of the image with the object outlined in each pose, anti-aliased.
 
     Args:
         image: RGB uint8, (H, W, 3).
         model: the object.
         poses: T_cam_obj (4, 4) by the RGB colour to draw it in; later ones lie on top.
-        K: camera matrix of the picture, (3, 3).
-        thickness: of the lines in pixels.
+        K: camera matrix of the image, (3, 3).
 
     Raises:
         ValueError: if the image is not uint8 RGB, a pose is not rigid or K is no camera matrix.
     """
+    canvas = np.ascontiguousarray(check_image(image)).copy()
     for colour, T_cam_obj in poses.items():
         contours = outline(model, T_cam_obj, K, image.shape[:2])
-        image = draw_outline(image, contours, colour, thickness)
-    return image
+        polygons = [np.round(contour * 2**_SHIFT).astype(np.int32) for contour in contours]
+        if polygons:
+            cv2.polylines(canvas, polygons, True, colour, _THICKNESS, cv2.LINE_AA, _SHIFT)
+    return canvas

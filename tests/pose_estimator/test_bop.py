@@ -119,7 +119,7 @@ def test_pairs_say_what_is_visible_where_they_know(tmp_path):
     assert entries[0]["visib_fracts"] == {"9": [0.5, 1.0], "1": [0.0, 0.25]}
     assert "visib_fracts" not in entries[1]
     path.write_text(json.dumps([entries[0] | {"visib_fracts": {"9": [0.5]}}]))
-    with pytest.raises(ValueError, match="pair 0: visible fractions: field '9' must be 2 finite"):
+    with pytest.raises(ValueError, match="pair 0, visible fractions: field '9' must be 2 numbers"):
         bop.read_pairs(path)
 
 
@@ -167,21 +167,21 @@ def test_rounded_rotations_become_orthonormal(dataset):
 
 BROKEN = [
     ("scene_gt.json", lambda c: c["1"][0].pop("cam_t_m2c"), "image 1, annotation 0.*'cam_t_m2c'"),
-    ("scene_gt.json", lambda c: c["1"][1]["cam_R_m2c"].pop(), "'cam_R_m2c' must be 9 finite"),
+    ("scene_gt.json", lambda c: c["1"][1]["cam_R_m2c"].pop(), "'cam_R_m2c' must be 9 numbers"),
     ("scene_gt.json", lambda c: c["0"][1].update(obj_id="x"), "annotation 1: field 'obj_id'"),
     (
         "scene_gt.json",
         lambda c: c["0"][0]["cam_t_m2c"].__setitem__(1, float("nan")),
-        "image 0, annotation 0: field 'cam_t_m2c' must be 3 finite numbers",
+        "image 0, annotation 0: field 'cam_t_m2c' is NaN, infinite",
     ),
     (
         "scene_gt.json",
         lambda c: c["0"][0]["cam_R_m2c"].__setitem__(0, 3.0),
         "image 0, annotation 0: field 'cam_R_m2c' is not rigid",
     ),
-    ("scene_gt.json", lambda c: c.update({"7": []}), "image 7 is not in scene_camera.json"),
-    ("scene_gt_info.json", lambda c: c.pop("1"), "field '1' is missing"),
-    ("scene_gt_info.json", lambda c: c["0"].pop(), "image 0 has 1 entries.* has 2"),
+    ("scene_gt.json", lambda c: c.update({"7": []}), "image 7: an annotated picture has no camera"),
+    ("scene_gt_info.json", lambda c: c.pop("1"), "image 1: .*no list for 2"),
+    ("scene_gt_info.json", lambda c: c["0"].pop(), "image 0: .*1 entries for 2"),
     ("scene_gt_info.json", lambda c: c["0"][1].pop("visib_fract"), "'visib_fract' is missing"),
     ("scene_camera.json", lambda c: c["1"].pop("cam_K"), "image 1: field 'cam_K' is missing"),
     ("scene_camera.json", lambda c: c["1"].pop("cam_t_w2c"), "'cam_t_w2c' is missing"),
@@ -210,17 +210,17 @@ def test_broken_files_are_named(dataset):
     data = bop.read_dataset(root, "train_pbr")
     image = data.scene(3)[0]
     image.rgb_path.write_bytes(image.rgb_path.read_bytes()[:20])
-    with pytest.raises(ValueError, match=r"000000\.png is not a readable picture"):
+    with pytest.raises(ValueError, match=r"000000\.png is not a picture file"):
         bop.read_rgb(image)
     image.annotations[1].mask_visib_path.unlink()
-    with pytest.raises(ValueError, match=r"annotation 1 has no mask: .*000000_000001\.png"):
+    with pytest.raises(ValueError, match=r"annotation 1: a mask is missing .*000000_000001\.png"):
         data.scene(3)
     path = root / "train_pbr" / "000012" / "scene_camera.json"
     path.write_text(path.read_text()[:40])
     with pytest.raises(ValueError, match=r"scene_camera\.json is not valid JSON"):
         data.scene(12)
     path.unlink()
-    with pytest.raises(ValueError, match=r"cannot read .*scene_camera\.json"):
+    with pytest.raises(ValueError, match=r"scene_camera\.json is missing"):
         data.scene(12)
     with pytest.raises(ValueError, match="scene 4 is not in"):
         data.scene(4)

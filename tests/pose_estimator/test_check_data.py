@@ -11,8 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from damages import (
-    DAMAGES,
+from damage_tools import (
     GL,
     SCENE,
     every_camera,
@@ -24,6 +23,7 @@ from damages import (
     quaternion,
     truncate,
 )
+from damages import DAMAGES
 from solid_scenes import write_dataset
 from two_view_pose.__main__ import main
 

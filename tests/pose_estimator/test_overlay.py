@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from two_view_pose.pose_estimator.geometry import LINEMOD_K
-from two_view_pose.pose_estimator.overlay import draw_outline, draw_poses, outline, silhouette
+from two_view_pose.pose_estimator.overlay import draw_poses, outline, silhouette
 
 SHAPE = (480, 640)
 
@@ -82,7 +82,7 @@ def test_drawing_leaves_the_picture_alone(box, T_cam_obj):
 
 def test_bad_input(box, T_cam_obj):
     with pytest.raises(ValueError, match="uint8 RGB"):
-        draw_outline(np.zeros((4, 4)), [], (0, 0, 0))
+        draw_poses(np.zeros((4, 4)), box, {(0, 0, 0): T_cam_obj}, LINEMOD_K)
     with pytest.raises(ValueError, match="K must be"):
         outline(box, T_cam_obj, np.eye(4), SHAPE)
     with pytest.raises(ValueError, match="T_cam_obj"):
