@@ -9,12 +9,13 @@ export PYTHON TORCH_INDEX
 READY := $(VENV)/.ready
 BIN := $(VENV)/bin
 
-.PHONY: help demo test lint format bench assets wheel clean
+.PHONY: help demo test test-fast lint bench format assets wheel clean
 
 help:
 	@echo "make demo    one scene, two views, a pose before and after; writes demo.png"
 	@echo "make test    the test suite"
-	@echo "make lint    ruff and mypy"
+	@echo "make test-fast  its tests that take seconds: under two minutes"
+	@echo "make lint    ruff, mypy, and that imports point down"
 	@echo "make bench   times our work against alternatives; writes bench.json"
 	@echo "make format  lets ruff rewrite what it can"
 	@echo "make assets  rebuilds the thirteen objects from their solids"
@@ -27,12 +28,16 @@ demo: $(READY)
 test: $(READY)
 	$(BIN)/pytest $(TESTS)
 
+test-fast: $(READY)
+	$(BIN)/pytest -m "not slow" $(TESTS)
+
 lint: $(READY) build/lint/two_view_pose
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	MYPYPATH=build/lint:tests $(BIN)/mypy -p benchmarks -m two_view_pose -m two_view_pose.__main__ \
-	  -p two_view_pose.agents -p two_view_pose.assets -p two_view_pose.envs \
-	  -p two_view_pose.pose_estimator
+	  -p two_view_pose.agents -p two_view_pose.assets -p two_view_pose.core \
+	  -p two_view_pose.envs -p two_view_pose.pose_estimator
+	PYTHONPATH=build/lint $(BIN)/lint-imports
 
 format: $(READY)
 	$(BIN)/ruff check --fix .

@@ -1,13 +1,13 @@
 """Two-View Pose: where should a robot look from for its second view?
 
 Importing this package registers the Gymnasium ids and lets PyTorch's threads sleep while they wait
-(:mod:`two_view_pose.pose_estimator.waiting`, which acts only where torch is imported later). It
+(:mod:`two_view_pose.core.thread_waiting`, which acts only where torch is imported later). It
 stays cheap on purpose.
 """
 
 from gymnasium.envs.registration import register
 
-from .pose_estimator.waiting import let_threads_sleep
+from .core.thread_waiting import let_threads_sleep
 
 __version__ = "0.1.0"
 
@@ -16,7 +16,7 @@ let_threads_sleep()
 register(
     id="TwoViewPose-v0",
     entry_point="two_view_pose.envs.two_view_pose:TwoViewPoseEnv",
-    vector_entry_point="two_view_pose.envs.vector:make_two_view_pose",
+    vector_entry_point="two_view_pose.envs.vector.env:make_two_view_pose",
 )
 register(
     id="TwoViewPoseSequential-v0",
@@ -26,5 +26,5 @@ register(id="TwoViewPoseReplay-v0", entry_point="two_view_pose.envs.replay:TwoVi
 register(
     id="TwoViewPoseDiscrete-v0",
     entry_point="two_view_pose.envs.two_view_pose:TwoViewPoseDiscreteEnv",
-    vector_entry_point="two_view_pose.envs.vector:make_two_view_pose_discrete",
+    vector_entry_point="two_view_pose.envs.vector.env:make_two_view_pose_discrete",
 )

@@ -1,7 +1,7 @@
-"""One command line: ``python -m two_view_pose VERB [OPTIONS]``.
+"""One command line: ``python -m two_view_pose COMMAND [OPTIONS]``.
 
-Each verb has one config dataclass, whose fields tyro turns into options, and one function that
-takes it. Only the chosen verb's modules are imported, the function's after the options have been
+Each command has one config dataclass, whose fields tyro turns into options, and one function that
+takes it. Only the chosen command's modules are imported, the function's after the options have been
 read, so that help is quick.
 """
 
@@ -13,17 +13,19 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NamedTuple
 
+from .core.errors import InputError
+
 PROGRAM = "two_view_pose"
 
 
-class Verb(NamedTuple):
-    """Where a verb lives, as ``module:name`` below this package.
+class Command(NamedTuple):
+    """Where a command lives, as ``module:name`` below this package.
 
     Attributes:
         config: its config dataclass; what it parses costs no more than importing that module.
         function: the function that takes the config; what it returns, if an integer, is the exit
             code.
-        summary: one line for the list of verbs.
+        summary: one line for the list of commands.
     """
 
     config: str
@@ -31,79 +33,79 @@ class Verb(NamedTuple):
     summary: str
 
 
-VERBS = {
-    "demo": Verb(
-        "agents.demo:DemoConfig",
-        "agents.demo:demo",
+COMMANDS = {
+    "demo": Command(
+        "agents.evaluation.demo:DemoConfig",
+        "agents.evaluation.demo:demo",
         "one scene, two views, the pose before and after; writes a picture",
     ),
-    "generate": Verb(
-        "envs.generate_config:GenerateConfig",
-        "envs.generate:generate",
+    "generate": Command(
+        "envs.datagen.config:GenerateConfig",
+        "envs.datagen.generate:generate",
         "renders paired training or test data and writes it in BOP format",
     ),
-    "record-bank": Verb(
-        "envs.record_config:RecordBankConfig",
-        "envs.record_bank:record_bank",
+    "record-bank": Command(
+        "envs.recording.config:RecordBankConfig",
+        "envs.recording.record_bank:record_bank",
         "records every second view of many scenes, to train and test on",
     ),
-    "check-data": Verb(
-        "pose_estimator.check_data:CheckDataConfig",
-        "pose_estimator.check_data:check_data",
+    "check-data": Command(
+        "pose_estimator.dataset_checks.config:CheckDataConfig",
+        "pose_estimator.dataset_checks.check_data:check_data",
         "finds the usual mistakes in a BOP data set",
     ),
-    "train-estimator": Verb(
-        "pose_estimator.training_config:TrainEstimatorConfig",
-        "pose_estimator.training:train_estimator",
+    "train-estimator": Command(
+        "pose_estimator.training.config:TrainEstimatorConfig",
+        "pose_estimator.training.train_estimator:train_estimator",
         "trains the pose estimator on generated data",
     ),
-    "evaluate": Verb(
-        "pose_estimator.evaluate_config:EvaluateConfig",
-        "envs.evaluate:evaluate",
+    "evaluate": Command(
+        "pose_estimator.evaluation.config:EvaluateConfig",
+        "envs.commands.evaluate:evaluate",
         "ADD(-S) of an estimator on our scenes or on a BOP data set",
     ),
-    "estimate": Verb(
-        "pose_estimator.estimate_command:EstimateConfig",
-        "pose_estimator.estimate_command:estimate_files",
+    "estimate": Command(
+        "pose_estimator.fusion.estimate_files:EstimateConfig",
+        "pose_estimator.fusion.estimate_files:estimate_files",
         "the pose of an object in your own two photographs",
     ),
-    "train-agent": Verb(
-        "agents.config:TrainAgentConfig",
-        "agents.train:train_agent",
+    "train-agent": Command(
+        "agents.training.config:TrainAgentConfig",
+        "agents.training.train_agent:train_agent",
         "trains a policy that chooses the second view",
     ),
-    "evaluate-agent": Verb(
-        "agents.config:EvaluateAgentConfig",
-        "agents.evaluate:evaluate_agents",
+    "evaluate-agent": Command(
+        "agents.training.config:EvaluateAgentConfig",
+        "agents.evaluation.evaluate_agent:evaluate_agents",
         "compares policies on the same scenes",
     ),
-    "compare": Verb(
-        "pose_estimator.study_config:CompareConfig",
-        "envs.compare:compare",
+    "compare": Command(
+        "pose_estimator.study.config:CompareConfig",
+        "envs.commands.compare:compare",
         "all methods on the same two tests: tables, figures and a page",
     ),
-    "doctor": Verb(
-        "envs.doctor:DoctorConfig",
-        "envs.doctor:doctor",
+    "doctor": Command(
+        "envs.commands.doctor:DoctorConfig",
+        "envs.commands.doctor:doctor",
         "says what works on this machine and what to install",
     ),
 }
 
 
 def overview() -> str:
-    """The help text that lists the verbs."""
-    width = max(map(len, VERBS))
-    lines = [f"  {name:<{width}}  {verb.summary}" for name, verb in VERBS.items()]
+    """The help text that lists the commands."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {command.summary}" for name, command in COMMANDS.items()]
     return "\n".join(
         [
-            f"usage: {PROGRAM} [-h] [--version] [--debug] VERB [OPTIONS]",
+            f"usage: {PROGRAM} [-h] [--version] [--debug] COMMAND [OPTIONS]",
             "",
             "Where should a robot look from for its second view?",
             "",
-            "verbs:",
+            "commands:",
             *lines,
             "",
-            f"`{PROGRAM} VERB --help` lists a verb's options. --debug shows where an error arose.",
+            f"`{PROGRAM} COMMAND --help` lists its options. --debug shows where an error arose.",
         ]
     )
 
@@ -122,17 +124,17 @@ def find(place: str) -> Any:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Runs one verb with its options and returns the exit code.
+    """Runs one command with its options and returns the exit code.
 
     Raises:
-        ValueError: or OSError, from the verb.
+        InputError: or OSError, from the command.
     """
     import tyro
 
     name, *options = arguments
-    verb = VERBS[name]
-    config = tyro.cli(find(verb.config), prog=f"{PROGRAM} {name}", args=options)
-    code = find(verb.function)(config)
+    command = COMMANDS[name]
+    config = tyro.cli(find(command.config), prog=f"{PROGRAM} {name}", args=options)
+    code = find(command.function)(config)
     return code if isinstance(code, int) else 0
 
 
@@ -149,14 +151,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(f"{PROGRAM} {__version__}")
         return 0
-    if given[0] not in VERBS:
+    if given[0] not in COMMANDS:
         print(
-            f"error: unknown verb {given[0]!r}; the verbs are {', '.join(VERBS)}", file=sys.stderr
+            f"error: unknown command {given[0]!r}; the commands are {', '.join(COMMANDS)}",
+            file=sys.stderr,
         )
         return 2
     try:
         return run(given)
-    except (ValueError, OSError) as error:
+    except (InputError, OSError) as error:
         if debug:
             raise
         print(f"error: {message(error)}", file=sys.stderr)

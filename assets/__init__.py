@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from ..core.errors import InputError
 from .object_model import ObjectModel
 from .storage import read_object
 
@@ -40,14 +41,14 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
             built object (model.glb and object.json). "NAME=PATH" calls the object of a path so.
 
     Raises:
-        ValueError: if it is neither a known name nor a path, or the file is not a usable mesh.
+        InputError: if it is neither a known name nor a path, or the file is not a usable mesh.
         FileNotFoundError: if it is a path to nothing.
     """
     if str(name_or_path) in OBJECT_NAMES:
         return _load_shipped(str(name_or_path))
     name, path = split_name(name_or_path)
     if name is None and not path.exists() and not path.suffix and path.name == str(name_or_path):
-        raise ValueError(
+        raise InputError(
             f"unknown object {name_or_path!r}: it must be one of {', '.join(OBJECT_NAMES)}, "
             "or the path of a mesh file (.ply, .obj, .stl, .glb)"
         )
@@ -78,7 +79,7 @@ def load_objects(
         load: what loads each of them.
 
     Raises:
-        ValueError: if two objects have the same name, ``spec`` is empty, or as `load_object`.
+        InputError: if two objects have the same name, ``spec`` is empty, or as `load_object`.
         FileNotFoundError: as `load_object`.
     """
     if spec is None:
@@ -89,10 +90,10 @@ def load_objects(
         for part in _expand(item):
             model = load(part)
             if model.name in models:
-                raise ValueError(f"two objects are called {model.name!r}; rename a file")
+                raise InputError(f"two objects are called {model.name!r}; rename a file")
             models[model.name] = model
     if not models:
-        raise ValueError("objects is empty: name at least one object or mesh file")
+        raise InputError("objects is empty: name at least one object or mesh file")
     return models
 
 
@@ -106,7 +107,7 @@ def _expand(item: str | Path) -> list[str | Path]:
     built = sorted(folder.parent for folder in path.glob("*/object.json"))
     meshes = sorted(file for file in path.iterdir() if file.suffix.lower() in MESH_SUFFIXES)
     if not built and not meshes:
-        raise ValueError(
+        raise InputError(
             f"{path} holds no mesh: expected files ending in {', '.join(MESH_SUFFIXES)}"
         )
     return [*built, *meshes]

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..pose_estimator.results import write_atomically
+from ..core.files import write_atomically
 from .object_model import ObjectModel
 
 _LIBRARIES = ("fast-simplification", "networkx", "numpy", "pillow", "scipy", "trimesh", "xatlas")
@@ -90,7 +90,7 @@ def _unpack(content: bytes) -> ObjectModel:
     """The object that `_pack` wrote; arrays keep their types and every bit.
 
     Raises:
-        ValueError: or KeyError, EOFError, zipfile.BadZipFile, if it is no such thing.
+        InputError: or KeyError, EOFError, zipfile.BadZipFile, if it is no such thing.
     """
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         values = {field.name: arrays[field.name] for field in fields(ObjectModel)}

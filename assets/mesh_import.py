@@ -1,4 +1,4 @@
-"""Anyone's mesh as an object: one texture, metres, few enough triangles, keypoints, resting poses.
+"""Anyone's mesh as an object: one texture, meters, few enough triangles, keypoints, resting poses.
 
 Per-vertex colors, per-face colors and textures are all read as colors of points spread densely
 over the original surface, and baked from there. So the mesh may be thinned out, cut into charts
@@ -17,11 +17,12 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from ..pose_estimator.geometry import check_rigid
+from ..core.errors import InputError
+from ..core.geometry import check_rigid
 from . import surface, texture
 from .mesh_cache import cached, mesh_key
 from .object_model import ObjectModel
-from .surface_colours import NORMAL_WEIGHT, sample_colors
+from .surface_colors import NORMAL_WEIGHT, sample_colors
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 """What `import_mesh` reads."""
@@ -32,10 +33,10 @@ MAX_FACES = 4000
 TEXTURE_SIZE = 512
 UNITS = {"m": 1.0, "mm": 1e-3}
 
-_METRES = (0.02, 1.0)
-_MILLIMETRES = (20.0, 1000.0)
+_METERS = (0.02, 1.0)
+_MILLIMETERS = (20.0, 1000.0)
 PLAUSIBLE_RANGE = (1e-3, 10.0)
-"""Diameters of objects, metres."""
+"""Diameters of objects, meters."""
 
 
 def import_mesh(
@@ -50,21 +51,21 @@ def import_mesh(
 
     Other processes, and later ones, find the result on the disk: see `mesh_cache`.
 
-    The object keeps the file's own frame, only scaled to metres, so that poses mean what they mean
-    for the file. The ninth keypoint is the centre of the bounding box.
+    The object keeps the file's own frame, only scaled to meters, so that poses mean what they mean
+    for the file. The ninth keypoint is the center of the bounding box.
 
     Args:
         path: PLY, OBJ, STL or GLB; all parts of a scene become one object.
         name: of the object; the file's name without ending by default.
-        unit: "m", "mm", or "auto": a diameter of 0.02 to 1 is taken as metres, of 20 to 1000 as
-            millimetres.
-        symmetries: (S, 4, 4) transforms in metres under which the object looks the same.
-        diameter: of the object as others measure it, metres; by default the largest distance
+        unit: "m", "mm", or "auto": a diameter of 0.02 to 1 is taken as meters, of 20 to 1000 as
+            millimeters.
+        symmetries: (S, 4, 4) transforms in meters under which the object looks the same.
+        diameter: of the object as others measure it, meters; by default the largest distance
             between two vertices, from which it may differ by a tenth.
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: if the file is no readable mesh, has no faces or NaN vertices, if its unit is
+        InputError: if the file is no readable mesh, has no faces or NaN vertices, if its unit is
             not evident or its size implausible or not that of ``diameter``, or ``symmetries``
             are not rigid transforms.
     """
@@ -72,7 +73,7 @@ def import_mesh(
     if not path.is_file():
         raise FileNotFoundError(f"mesh file {path} does not exist")
     if unit != "auto" and unit not in UNITS:
-        raise ValueError(f"unit must be 'auto', 'm' or 'mm', got {unit!r}")
+        raise InputError(f"unit must be 'auto', 'm' or 'mm', got {unit!r}")
     given = None if symmetries is None else _check_symmetries(symmetries)
     state = path.stat()
     options = (name, unit, given, diameter)
@@ -107,7 +108,7 @@ def _make(
     measured = surface.diameter(np.concatenate([part.triangles.reshape(-1, 3) for part in parts]))
     scale = _scale(measured, unit, path)
     if diameter is not None and not 0.9 < measured * scale / diameter < 1.1:
-        raise ValueError(
+        raise InputError(
             f"{path} has a diameter of {measured * scale:g} m, but diameter is given as "
             f"{diameter:g} m"
         )
@@ -133,7 +134,7 @@ def _make(
     transforms = np.eye(4)[None]
     if symmetries is not None:
         transforms = np.frombuffer(symmetries).reshape(-1, 4, 4).copy()
-    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     return ObjectModel(
         name=name or path.stem,
         obj_id=_number(path.stem),
@@ -141,7 +142,7 @@ def _make(
         faces=faces,
         uv=uv,
         texture=image,
-        keypoints=surface.keypoints(vertices, centre, transforms),
+        keypoints=surface.keypoints(vertices, center, transforms),
         diameter=measured * scale if diameter is None else diameter,
         symmetries=transforms,
         points=surface.even_points(mesh),
@@ -152,44 +153,44 @@ def _make(
 def _read_parts(path: Path) -> list[trimesh.Trimesh]:
     """All meshes of a file in its own frame and unit, each with its colors."""
     if path.suffix.lower() not in MESH_SUFFIXES:
-        raise ValueError(f"{path.name} must be one of {', '.join(MESH_SUFFIXES)}")
+        raise InputError(f"{path.name} must be one of {', '.join(MESH_SUFFIXES)}")
     try:
         scene = trimesh.load_scene(path, process=False)
         parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
     except Exception as error:  # readers of broken files fail in every way there is
-        raise ValueError(f"{path} cannot be read as a mesh: {error!r}") from error
+        raise InputError(f"{path} cannot be read as a mesh: {error!r}") from error
     parts = [part for part in parts if len(part.faces)]
     if not parts:
-        raise ValueError(f"{path} has no faces: a surface is needed, not points")
+        raise InputError(f"{path} has no faces: a surface is needed, not points")
     for part in parts:
         if not np.isfinite(part.vertices).all():
             bad = int((~np.isfinite(part.vertices).all(axis=1)).sum())
-            raise ValueError(f"{path} has NaN or infinite coordinates in {bad} vertices")
+            raise InputError(f"{path} has NaN or infinite coordinates in {bad} vertices")
         if part.faces.min() < 0 or part.faces.max() >= len(part.vertices):
-            raise ValueError(f"{path} has faces with vertices that it does not have")
+            raise InputError(f"{path} has faces with vertices that it does not have")
     corners = np.concatenate([part.triangles.reshape(-1, 3) for part in parts])
     spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
     if spread[2] <= 1e-6 * spread[0]:
-        raise ValueError(f"{path} is flat: an object needs some thickness")
+        raise InputError(f"{path} is flat: an object needs some thickness")
     return parts
 
 
 def _scale(diameter: float, unit: str, path: Path) -> float:
-    """What the file's numbers are multiplied with to be metres."""
+    """What the file's numbers are multiplied with to be meters."""
     if unit == "auto":
-        for guess, (low, high) in (("m", _METRES), ("mm", _MILLIMETRES)):
+        for guess, (low, high) in (("m", _METERS), ("mm", _MILLIMETERS)):
             if low <= diameter <= high:
                 return UNITS[guess]
-        raise ValueError(
+        raise InputError(
             f"the unit of {path} is not evident: its diameter is {diameter:g}, and "
-            f"{_METRES[0]:g} to {_METRES[1]:g} would be metres, {_MILLIMETRES[0]:g} to "
-            f"{_MILLIMETRES[1]:g} millimetres; say unit='m' or unit='mm' to import_mesh, or scale "
+            f"{_METERS[0]:g} to {_METERS[1]:g} would be meters, {_MILLIMETERS[0]:g} to "
+            f"{_MILLIMETERS[1]:g} millimeters; say unit='m' or unit='mm' to import_mesh, or scale "
             "the file"
         )
-    metres = diameter * UNITS[unit]
-    if not PLAUSIBLE_RANGE[0] <= metres <= PLAUSIBLE_RANGE[1]:
-        raise ValueError(
-            f"{path} has a diameter of {diameter:g} {unit} = {metres:g} m; objects must be "
+    meters = diameter * UNITS[unit]
+    if not PLAUSIBLE_RANGE[0] <= meters <= PLAUSIBLE_RANGE[1]:
+        raise InputError(
+            f"{path} has a diameter of {diameter:g} {unit} = {meters:g} m; objects must be "
             f"{PLAUSIBLE_RANGE[0]:g} to {PLAUSIBLE_RANGE[1]:g} m"
         )
     return UNITS[unit]
@@ -233,7 +234,7 @@ def _check_symmetries(symmetries: np.ndarray) -> bytes:
     """Rigid transforms (S, 4, 4), identity first, as bytes: a key for the cache."""
     array = np.asarray(symmetries, dtype=np.float64)
     if array.ndim != 3 or array.shape[1:] != (4, 4) or not len(array):
-        raise ValueError(f"symmetries must have the shape (S, 4, 4), got {array.shape}")
+        raise InputError(f"symmetries must have the shape (S, 4, 4), got {array.shape}")
     checked = [check_rigid(T, f"symmetries[{i}]") for i, T in enumerate(array)]
     others = [T for T in checked if not np.allclose(T, np.eye(4), atol=1e-9)]
     return np.stack([np.eye(4), *others]).tobytes()

@@ -11,8 +11,8 @@ import numpy as np
 class ObjectModel:
     """A textured mesh with all that pose estimation asks of it.
 
-    Everything is in the object's own frame, in metres. The frame is LineMOD's: the origin is the
-    centre of the bounding box and +z is up when the object stands as it does in LineMOD.
+    Everything is in the object's own frame, in meters. The frame is LineMOD's: the origin is the
+    center of the bounding box and +z is up when the object stands as it does in LineMOD.
 
     Attributes:
         name: what users and weights call it.
@@ -22,7 +22,7 @@ class ObjectModel:
         uv: (V, 2) float32 texture coordinates in [0, 1], v up (OpenGL). Vertices on texture seams
             are duplicated, so that there is one uv for each vertex.
         texture: (H, W, 3) uint8 RGB, row 0 at the top of the picture (v = 1).
-        keypoints: (9, 3) float64: eight by farthest point sampling on the surface, then the centre
+        keypoints: (9, 3) float64: eight by farthest point sampling on the surface, then the center
             (the origin of the frame).
         diameter: largest distance between two surface points.
         symmetries: (S, 4, 4) float64 discrete symmetry transforms, identity first.

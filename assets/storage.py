@@ -14,7 +14,8 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from ..pose_estimator.results import write_atomically
+from ..core.errors import InputError
+from ..core.files import write_atomically
 from .object_model import ObjectModel
 
 FORMAT_VERSION = 1
@@ -29,7 +30,7 @@ _SCALARS = ("name", "obj_id", "diameter", "specular", "shininess")
 def save_object(model: ObjectModel, folder: str | Path, *, surface: bool = True) -> None:
     """Writes an object so that the same object gives the same bytes.
 
-    The mesh is stored in the object's own frame, z up, in metres and single precision; the
+    The mesh is stored in the object's own frame, z up, in meters and single precision; the
     texture is a PNG inside the GLB.
 
     Args:
@@ -77,7 +78,7 @@ def read_object(folder: str | Path) -> ObjectModel:
 
     Raises:
         FileNotFoundError: if one of the two files is missing.
-        ValueError: if a file is damaged or of an unknown format.
+        InputError: if a file is damaged or of an unknown format.
     """
     folder = Path(folder)
     if not (folder / NUMBERS_FILE).is_file():
@@ -85,7 +86,7 @@ def read_object(folder: str | Path) -> ObjectModel:
     try:
         numbers = json.loads((folder / NUMBERS_FILE).read_text())
         if numbers["format"] != FORMAT_VERSION:
-            raise ValueError(f"format is {numbers['format']}, this version reads {FORMAT_VERSION}")
+            raise InputError(f"format is {numbers['format']}, this version reads {FORMAT_VERSION}")
         known: dict[str, Any] = {key: numbers[key] for key in _SCALARS}
         if "box" in numbers:
             known |= {key: np.asarray(numbers[key], np.float64) for key in _WITHOUT_SURFACE}
@@ -96,7 +97,7 @@ def read_object(folder: str | Path) -> ObjectModel:
         known |= {key: np.asarray(numbers[key], dtype=np.float64) for key in _ARRAYS}
         return ObjectModel(vertices=vertices, faces=faces, uv=uv, texture=texture, **known)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"the object in {folder} cannot be read: {error}") from error
+        raise InputError(f"the object in {folder} cannot be read: {error}") from error
 
 
 def _without_surface(bounds: np.ndarray, known: dict[str, Any]) -> ObjectModel:

@@ -6,10 +6,10 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, distance
 
-from ..pose_estimator.geometry import make_transform, transform
+from ..core.geometry import make_transform, transform
 
 KEYPOINT_COUNT = 9
-"""Eight on the surface and the centre of the frame."""
+"""Eight on the surface and the center of the frame."""
 
 POINT_COUNT = 1000
 POINT_SEED = 0
@@ -33,29 +33,29 @@ def farthest_points(points: np.ndarray, count: int, start: int) -> np.ndarray:
 
 
 def keypoints(
-    vertices: np.ndarray, centre: np.ndarray, symmetries: np.ndarray | None = None
+    vertices: np.ndarray, center: np.ndarray, symmetries: np.ndarray | None = None
 ) -> np.ndarray:
-    """PVNet's keypoints (9, 3): farthest point sampling over the surface, then the centre.
+    """PVNet's keypoints (9, 3): farthest point sampling over the surface, then the center.
 
     Peng et al., "PVNet: Pixel-wise Voting Network for 6DoF Pose Estimation", CVPR 2019, section
-    3.1. Deterministic: the first keypoint is the vertex farthest from the centre. For a symmetric
+    3.1. Deterministic: the first keypoint is the vertex farthest from the center. For a symmetric
     object each chosen vertex brings its images under the symmetries, so that a symmetry only
     renumbers the keypoints and two views can be brought to agree.
 
     Args:
         vertices: (V, 3).
-        centre: (3,), becomes the ninth keypoint and steers nothing but the first choice.
+        center: (3,), becomes the ninth keypoint and steers nothing but the first choice.
         symmetries: (S, 4, 4), identity first; used where S divides eight.
     """
-    start = int(np.sum((vertices - centre) ** 2, axis=1).argmax())
+    start = int(np.sum((vertices - center) ** 2, axis=1).argmax())
     count = KEYPOINT_COUNT - 1
     if symmetries is None or len(symmetries) == 1 or count % len(symmetries):
-        return np.concatenate([vertices[farthest_points(vertices, count, start)], centre[None]])
+        return np.concatenate([vertices[farthest_points(vertices, count, start)], center[None]])
     images = vertices @ symmetries[1:, :3, :3].transpose(0, 2, 1) + symmetries[1:, None, :3, 3]
     travel = np.linalg.norm(images - vertices, axis=2).min(axis=0)
     # A vertex on the axis is its own image, and would become the same keypoint twice.
     vertices = vertices[travel > 0.1 * np.linalg.norm(np.ptp(vertices, axis=0))]
-    start = int(np.sum((vertices - centre) ** 2, axis=1).argmax())
+    start = int(np.sum((vertices - center) ** 2, axis=1).argmax())
     chosen: list[np.ndarray] = []
     nearest = np.full(len(vertices), np.inf)
     index = start
@@ -64,11 +64,11 @@ def keypoints(
             chosen.append(S[:3, :3] @ vertices[index] + S[:3, 3])
             nearest = np.minimum(nearest, np.sum((vertices - chosen[-1]) ** 2, axis=1))
         index = int(nearest.argmax())
-    return np.stack([*chosen, centre])
+    return np.stack([*chosen, center])
 
 
 def even_points(mesh: trimesh.Trimesh, count: int = POINT_COUNT) -> np.ndarray:
-    """Points (count, 3) spread evenly over the surface, rounded to a micrometre."""
+    """Points (count, 3) spread evenly over the surface, rounded to a micrometer."""
     dense, _ = trimesh.sample.sample_surface(mesh, 15 * count, seed=POINT_SEED)
     dense = np.asarray(dense)
     return np.round(dense[farthest_points(dense, count, 0)], 6)
@@ -82,8 +82,8 @@ def diameter(vertices: np.ndarray) -> float:
     return float(max(distance.cdist(part, corners).max() for part in np.array_split(corners, 8)))
 
 
-def centre_of_mass(mesh: trimesh.Trimesh) -> np.ndarray:
-    """Centre of mass (3,) of the solid; of its convex hull where the mesh is not closed."""
+def center_of_mass(mesh: trimesh.Trimesh) -> np.ndarray:
+    """Center of mass (3,) of the solid; of its convex hull where the mesh is not closed."""
     solid = mesh if mesh.is_watertight and mesh.volume > 0 else mesh.convex_hull
     return np.asarray(solid.center_mass)
 
@@ -99,11 +99,11 @@ def support_margin(
         T_table_obj: (4, 4), how it stands; None: as it is.
 
     Returns:
-        Distance in the plane (m) from the centre of mass to the border of the support polygon,
+        Distance in the plane (m) from the center of mass to the border of the support polygon,
         negative when it lies outside: the object tips over.
     """
     T = np.eye(4) if T_table_obj is None else T_table_obj
-    vertices, weight = transform(T, mesh.vertices), transform(T, centre_of_mass(mesh))
+    vertices, weight = transform(T, mesh.vertices), transform(T, center_of_mass(mesh))
     feet = vertices[vertices[:, 2] <= vertices[:, 2].min() + tolerance, :2]
     if len(feet) < 3 or np.linalg.matrix_rank(feet - feet[0], tol=1e-6) < 2:
         return -float("inf")
@@ -119,13 +119,13 @@ def stable_poses(mesh: trimesh.Trimesh, max_tilt: float = 0.1) -> np.ndarray:
     Goldberg et al., "Part pose statistics", IJRR 1999).
 
     Args:
-        mesh: in the object frame, metres.
+        mesh: in the object frame, meters.
         max_tilt: largest angle (rad) between +z and the vertical that still is upright. An object
             that stands with no tilt at all gets exactly the identity rotation.
     """
     hull = mesh.convex_hull
     transforms, probabilities = trimesh.poses.compute_stable_poses(
-        hull, center_mass=centre_of_mass(mesh), seed=POINT_SEED
+        hull, center_mass=center_of_mass(mesh), seed=POINT_SEED
     )
     order = np.argsort(-np.asarray(probabilities), kind="stable")
     rotations = np.asarray(transforms)[order, :3, :3]

@@ -15,11 +15,13 @@ import trimesh
 import xatlas
 from scipy import ndimage
 
+from ..core.errors import InputError
+
 ColorFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Maps surface points (N, 3) and unit normals (N, 3) to RGB colors (N, 3) in [0, 1]."""
 
 PADDING = 6
-"""Texels between charts, so that two levels of mip-maps do not mix neighbouring charts."""
+"""Texels between charts, so that two levels of mip-maps do not mix neighboring charts."""
 
 _UV_STEPS = 1 << 16  # exact in float32, and so is 1 - uv: files keep every bit
 
@@ -84,19 +86,19 @@ def bake(
         the nearest one that is covered.
 
     Raises:
-        ValueError: if no texel is covered, or ``color_at`` returns a wrong shape.
+        InputError: if no texel is covered, or ``color_at`` returns a wrong shape.
     """
     fine = size * supersampling
-    rows, columns, face, weights = rasterise(uv[faces].astype(np.float64), fine)
+    rows, columns, face, weights = rasterize(uv[faces].astype(np.float64), fine)
     if not len(rows):
-        raise ValueError(f"uv covers no texel of a {size} x {size} texture")
+        raise InputError(f"uv covers no texel of a {size} x {size} texture")
     corners = vertices[faces[face]]
     points = np.einsum("nk,nki->ni", weights, corners)
     directions = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(directions, axis=1, keepdims=True)
     colors = np.asarray(color_at(points, directions / np.maximum(length, 1e-300)))
     if colors.shape != points.shape:
-        raise ValueError(
+        raise InputError(
             f"color_at must return one RGB color a point, {points.shape}, got {colors.shape}"
         )
     image = np.zeros((fine, fine, 3))
@@ -122,10 +124,10 @@ def sample_texture(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     return np.stack(channels, axis=1) / 255.0
 
 
-def rasterise(
+def rasterize(
     triangles: np.ndarray, size: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Finds the texel centres inside uv triangles (F, 3, 2).
+    """Finds the texel centers inside uv triangles (F, 3, 2).
 
     Returns:
         ``rows``, ``columns`` and ``face`` (N,), barycentric ``weights`` (N, 3). A texel on a

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from .camera import CAMERA_RANGE
+from ..core.errors import InputError
+from .simulation.camera import CAMERA_RANGE
 
 AZIMUTH_LIMIT = np.pi / 2
 """Largest azimuth offset of the second view to either side, radians."""
@@ -21,14 +22,14 @@ def box_view(action: Any) -> tuple[float, float, float]:
         action: (3,) numbers from -1 to 1.
 
     Raises:
-        ValueError: if the action is NaN or not in the action space.
+        InputError: if the action is NaN or not in the action space.
     """
     try:
         values = np.asarray(action, dtype=np.float32)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"action must be three numbers from -1 to 1, got {action!r}") from error
+        raise InputError(f"action must be three numbers from -1 to 1, got {action!r}") from error
     if values.shape != (3,) or not (np.abs(values) <= 1.0).all():
-        raise ValueError(f"action must be three numbers from -1 to 1, got {action!r}")
+        raise InputError(f"action must be three numbers from -1 to 1, got {action!r}")
     azimuth, elevation, distance = values.astype(np.float64)
     return (
         float(azimuth * AZIMUTH_LIMIT),
@@ -45,13 +46,13 @@ def candidate_view(action: Any, count: int) -> int:
         count: how many candidates there are.
 
     Raises:
-        ValueError: if it is no integer from 0 to ``count`` - 1.
+        InputError: if it is no integer from 0 to ``count`` - 1.
     """
     if isinstance(action, np.ndarray) and action.ndim == 0:
         action = action.item()
     whole = isinstance(action, Integral) and not isinstance(action, bool)
     if not whole or not 0 <= int(action) < count:
-        raise ValueError(f"action must be an integer from 0 to {count - 1}, got {action!r}")
+        raise InputError(f"action must be an integer from 0 to {count - 1}, got {action!r}")
     return int(action)
 
 
@@ -59,7 +60,7 @@ def check_candidates(candidates: Sequence[tuple[float, float]]) -> np.ndarray:
     """Candidate views in radians, (N, 2).
 
     Raises:
-        ValueError: if they are no list of (azimuth offset, elevation) in degrees within the range.
+        InputError: if they are no list of (azimuth offset, elevation) in degrees within the range.
     """
     views = np.asarray(candidates, dtype=np.float64)
     low, high = np.rad2deg(CAMERA_RANGE.elevation)
@@ -68,7 +69,7 @@ def check_candidates(candidates: Sequence[tuple[float, float]]) -> np.ndarray:
         valid = bool((np.abs(views[:, 0]) <= 180).all())
         valid &= bool(((views[:, 1] >= low - 1e-9) & (views[:, 1] <= high + 1e-9)).all())
     if not valid:
-        raise ValueError(
+        raise InputError(
             "candidate_views must be pairs of azimuth offset (-180 to 180 degrees) and elevation "
             f"({low:.0f} to {high:.0f} degrees), got {candidates!r}"
         )

@@ -16,20 +16,21 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 
 from ..assets.object_model import ObjectModel
-from ..pose_estimator.bop_objects import load_objects
-from ..pose_estimator.estimate import PoseEstimate
-from ..pose_estimator.geometry import LINEMOD_IMAGE_SIZE, View
-from .carrier import Carrier, FreeFlyingCarrier, PoseNoise
+from ..core.errors import InputError
+from ..core.geometry import LINEMOD_IMAGE_SIZE, View
+from ..core.memory import release_unused_memory
+from ..pose_estimator.bop.objects import load_objects
+from ..pose_estimator.types import PoseEstimate
 from .episode import Episode
 from .episode_figure import episode_figure
-from .freed_memory import release_unused_memory
-from .intrinsics import scaled_intrinsics
 from .observation import Observation, SpherePosition, make_observation, observation_space
 from .options import ResetOptions
 from .protocol import PoseEstimator, check_known_objects, resolve_estimator
-from .randomization import Randomization
-from .scene import SceneConfig
-from .studio import SceneInfo, SceneRequest, SceneSimulator, episode_generators
+from .simulation.carrier import Carrier, FreeFlyingCarrier, PoseNoise
+from .simulation.intrinsics import scaled_intrinsics
+from .simulation.randomization import Randomization
+from .simulation.scene import SceneConfig
+from .simulation.simulator import SceneInfo, SceneRequest, SceneSimulator, episode_generators
 from .window import Window
 
 IMAGE_SIZES = (36, 256)
@@ -71,12 +72,12 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         simulator: Callable[..., SceneSimulator] = SceneSimulator,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode must be human, rgb_array or None, got {render_mode!r}")
+            raise InputError(f"render_mode must be human, rgb_array or None, got {render_mode!r}")
         smallest, largest = IMAGE_SIZES
         if not smallest <= image_size <= largest:
-            raise ValueError(f"image_size must be {smallest} to {largest} pixels, got {image_size}")
+            raise InputError(f"image_size must be {smallest} to {largest} pixels, got {image_size}")
         if not (np.isfinite(travel_weight) and travel_weight >= 0):
-            raise ValueError(f"travel_weight must be a number of at least 0, got {travel_weight}")
+            raise InputError(f"travel_weight must be a number of at least 0, got {travel_weight}")
         self.render_mode = render_mode
         self.travel_weight = float(travel_weight)
         self._pose_noise = PoseNoise.of(pose_noise)
@@ -105,7 +106,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         """Where an action would send the camera now: T_cam_world (4, 4).
 
         Raises:
-            ValueError: if the action is not in the action space.
+            InputError: if the action is not in the action space.
         """
 
     @property
@@ -139,9 +140,9 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         return self._running().position(0)
 
     @property
-    def sphere_centre(self) -> np.ndarray:
-        """The middle of the view sphere, (3,), world; see :attr:`.Episode.sphere_centre`."""
-        return self._running().sphere_centre
+    def sphere_center(self) -> np.ndarray:
+        """The middle of the view sphere, (3,), world; see :attr:`.Episode.sphere_center`."""
+        return self._running().sphere_center
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -154,7 +155,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
                 class).
 
         Raises:
-            ValueError: if an option is unknown or not allowed.
+            InputError: if an option is unknown or not allowed.
         """
         request = self.sample_scene_request(seed, options)
         self.begin(request, self._simulator.reset(request))
@@ -165,7 +166,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         """Takes the second view and estimates the pose from both; the episode ends.
 
         Raises:
-            ValueError: if the action is NaN or out of the action space.
+            InputError: if the action is NaN or out of the action space.
             ResetNeeded: if the episode has ended.
         """
         self._look(self.move(action))
@@ -175,7 +176,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         """The scene of the next episode; the first part of :meth:`reset`.
 
         Raises:
-            ValueError: if an option is unknown or not allowed.
+            InputError: if an option is unknown or not allowed.
         """
         super().reset(seed=seed)
         chosen = ResetOptions.parse(options, self.object_names, self._scene_config.camera)
@@ -203,7 +204,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         """Moves the camera as an action says: T_cam_world (4, 4); the first part of :meth:`step`.
 
         Raises:
-            ValueError: if the action is NaN or out of the action space.
+            InputError: if the action is NaN or out of the action space.
             ResetNeeded: if the episode has ended.
         """
         episode = self._running()

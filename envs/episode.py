@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from ..assets.object_model import ObjectModel
-from ..pose_estimator.estimate import PoseEstimate
-from ..pose_estimator.geometry import View, check_rigid, invert
-from ..pose_estimator.metrics import add_or_add_s
-from .carrier import angle_at
+from ..core.geometry import View, check_rigid, invert
+from ..pose_estimator.evaluation.metrics import add_or_add_s
+from ..pose_estimator.types import PoseEstimate
 from .observation import SpherePosition
+from .simulation.carrier import angle_at
 
 WORKSPACE_LOW, WORKSPACE_HIGH = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5, 0.4])
-"""Where on the table the object can be at all (world, metres); bounds the view sphere's centre."""
+"""Where on the table the object can be at all (world, meters); bounds the view sphere's center."""
 
 
 @dataclass(eq=False)
@@ -67,7 +67,7 @@ class Episode:
         """Adds what was estimated from all views so far, and its error.
 
         Raises:
-            ValueError: if its pose is not a rigid transform.
+            InputError: if its pose is not a rigid transform.
         """
         check_rigid(estimate.T_cam_obj, "the estimator's T_cam_obj")
         error = add_or_add_s(estimate.T_cam_obj, self.T_cam_obj_true(0), self.model)
@@ -79,7 +79,7 @@ class Episode:
         return self.cameras[index] @ self.T_world_obj
 
     @property
-    def sphere_centre(self) -> np.ndarray:
+    def sphere_center(self) -> np.ndarray:
         """The middle of the view sphere, (3,), world: where the object is estimated to be.
 
         It is kept within the part of the table where objects stand. Without an estimate it is
@@ -87,20 +87,20 @@ class Episode:
         """
         T_world_cam = invert(self.cameras[0])
         if self.estimates:
-            centre = (T_world_cam @ self.estimates[0].T_cam_obj)[:3, 3]
+            center = (T_world_cam @ self.estimates[0].T_cam_obj)[:3, 3]
         else:
             origin, axis = T_world_cam[:3, 3], T_world_cam[:3, 2]
-            centre = origin + axis * (origin[2] / max(-axis[2], 1e-3))
-        return np.clip(centre, WORKSPACE_LOW, WORKSPACE_HIGH)
+            center = origin + axis * (origin[2] / max(-axis[2], 1e-3))
+        return np.clip(center, WORKSPACE_LOW, WORKSPACE_HIGH)
 
     def position(self, index: int) -> SpherePosition:
         """The camera of a view, as seen from the middle of the view sphere."""
-        return SpherePosition.of(self.cameras[index], self.sphere_centre)
+        return SpherePosition.of(self.cameras[index], self.sphere_center)
 
     @property
     def baseline_deg(self) -> float:
         """Angle at the middle of the view sphere between the first and the newest camera."""
-        return angle_at(self.sphere_centre, self.cameras[0], self.cameras[-1])
+        return angle_at(self.sphere_center, self.cameras[0], self.cameras[-1])
 
     @property
     def estimate(self) -> PoseEstimate | None:

@@ -9,8 +9,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ..assets.object_model import ObjectModel
-from ..pose_estimator.geometry import crop_matrix, invert, project, transform
-from ..pose_estimator.overlay import ESTIMATE_COLOUR, TRUE_COLOUR, draw_poses
+from ..core.geometry import crop_matrix, invert, project, transform
+from ..pose_estimator.visualization import ESTIMATE_COLOR, TRUE_COLOR, draw_poses
 from .episode import Episode
 
 _PANEL = (480, 640)  # height, width
@@ -63,10 +63,10 @@ def episode_figure(episode: Episode, model: ObjectModel) -> np.ndarray:
 def _panel_image(episode: Episode, index: int, model: ObjectModel) -> np.ndarray:
     """A view with both outlines and, in the emptiest corner, the object enlarged."""
     T_cam_obj = episode.T_cam_obj_true(index)
-    poses = {TRUE_COLOUR: T_cam_obj}
+    poses = {TRUE_COLOR: T_cam_obj}
     if episode.estimates:
         relative = episode.cameras[index] @ invert(episode.cameras[0])
-        poses[ESTIMATE_COLOUR] = relative @ episode.estimates[index].T_cam_obj
+        poses[ESTIMATE_COLOR] = relative @ episode.estimates[index].T_cam_obj
     image, K = _panel_sized(episode.views[index].image, episode.views[index].K)
     drawn = draw_poses(image, model, poses, K)
     points = transform(T_cam_obj, model.vertices)
@@ -115,7 +115,7 @@ def _empty_panel(draw: ImageDraw.ImageDraw, x: int) -> None:
 def _score(
     draw: ImageDraw.ImageDraw, at: tuple[int, int], model: ObjectModel, add: float | None
 ) -> None:
-    """The error below a panel: in millimetres, then as a share of the diameter."""
+    """The error below a panel: in millimeters, then as a share of the diameter."""
     if add is None:
         _text(draw, at, "no estimate", 20, _GRAY)
         return
@@ -128,7 +128,7 @@ def _score(
 
 
 def _legend(draw: ImageDraw.ImageDraw, right: int, y: int, estimated: bool) -> None:
-    entries = [("true", TRUE_COLOUR), ("estimated", ESTIMATE_COLOUR)]
+    entries = [("true", TRUE_COLOR), ("estimated", ESTIMATE_COLOR)]
     for label, color in reversed(entries[: 1 + estimated]):
         right -= int(_font(18).getlength(label))
         _text(draw, (right, y), label, 18)

@@ -14,14 +14,14 @@ import cv2
 import numpy as np
 from gymnasium import spaces
 
-from ..pose_estimator.estimate import PoseEstimate
-from ..pose_estimator.geometry import crop_matrix, invert, rotation_to_6d
+from ..core.geometry import crop_matrix, invert, rotation_to_6d
+from ..pose_estimator.types import PoseEstimate
 
 KEYPOINTS = 9
 CROP_SCALE = 2.5
 """Side of the crop in sides of the detection: it shows what may occlude the object elsewhere."""
 UNCERTAINTY_UNIT = 0.01
-"""Keypoint uncertainty is log10 of its standard deviation over this many metres."""
+"""Keypoint uncertainty is log10 of its standard deviation over this many meters."""
 
 # Out-of-range estimates are clipped to the space.
 _TRANSLATION_LOW = np.array([-1.0, -1.0, 0.0], dtype=np.float32)
@@ -50,10 +50,10 @@ class SpherePosition:
     roll: float
 
     @classmethod
-    def of(cls, T_cam_world: np.ndarray, centre: np.ndarray) -> SpherePosition:
-        """Reads a camera pose (4, 4) as seen from ``centre`` (3,), metres in the world."""
+    def of(cls, T_cam_world: np.ndarray, center: np.ndarray) -> SpherePosition:
+        """Reads a camera pose (4, 4) as seen from ``center`` (3,), meters in the world."""
         T_world_cam = invert(T_cam_world)
-        x, y, z = T_world_cam[:3, 3] - centre
+        x, y, z = T_world_cam[:3, 3] - center
         right, down = T_world_cam[:3, 0], T_world_cam[:3, 1]
         return cls(
             distance=float(np.linalg.norm((x, y, z))),
@@ -146,16 +146,16 @@ def _log_uncertainty(covariance: np.ndarray) -> np.ndarray:
 def _crop(image: np.ndarray, estimate: PoseEstimate | None, size: int) -> np.ndarray:
     """The reference image around the detection, (size, size, 3); gray outside the frame."""
     height, width = image.shape[:2]
-    centre, side = np.array([(width - 1) / 2, (height - 1) / 2]), float(min(height, width))
+    center, side = np.array([(width - 1) / 2, (height - 1) / 2]), float(min(height, width))
     if estimate is not None and estimate.rois:
         roi = estimate.rois[0]
-        if np.isfinite(roi.centre).all() and np.isfinite(roi.side):
-            centre, side = roi.centre, float(np.clip(CROP_SCALE * roi.side, 8.0, 2.0 * width))
+        if np.isfinite(roi.center).all() and np.isfinite(roi.side):
+            center, side = roi.center, float(np.clip(CROP_SCALE * roi.side, 8.0, 2.0 * width))
     # warpAffine does not average when it shrinks: warp to a multiple of the size, then average.
     factor = max(1, int(np.ceil(side / size)))
     crop = cv2.warpAffine(
         image,
-        crop_matrix(centre, side, size * factor)[:2],
+        crop_matrix(center, side, size * factor)[:2],
         (size * factor, size * factor),
         flags=cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_CONSTANT,

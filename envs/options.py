@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ..pose_estimator.geometry import check_rigid
-from .camera import CameraRange, view_sphere_pose
+from ..core.errors import InputError
+from ..core.geometry import check_rigid
+from .simulation.camera import CameraRange, view_sphere_pose
 
 OPTION_NAMES = ("object", "scene_seed", "reference_camera")
 _SPHERE_NAMES = ("distance", "azimuth", "elevation")
@@ -45,25 +46,25 @@ class ResetOptions:
             camera_range: where a reference camera given as a dict may stand.
 
         Raises:
-            ValueError: if a key is unknown or a value is not allowed; the message says what is.
+            InputError: if a key is unknown or a value is not allowed; the message says what is.
         """
         if options is None:
             return cls()
         if not isinstance(options, Mapping):
-            raise ValueError(f"options must be a dict or None, got {type(options).__name__}")
+            raise InputError(f"options must be a dict or None, got {type(options).__name__}")
         unknown = [key for key in options if key not in OPTION_NAMES]
         if unknown:
-            raise ValueError(
+            raise InputError(
                 f"unknown reset option(s) {unknown}; allowed are {', '.join(OPTION_NAMES)}"
             )
         name, seed = options.get("object"), options.get("scene_seed")
         if name is not None and name not in object_names:
-            raise ValueError(
+            raise InputError(
                 f"option object must be one of {', '.join(object_names)}; got {name!r}"
             )
         if seed is not None:
             if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
-                raise ValueError(f"option scene_seed must be an integer >= 0, got {seed!r}")
+                raise InputError(f"option scene_seed must be an integer >= 0, got {seed!r}")
             seed = int(seed)
         camera = options.get("reference_camera")
         return cls(name, seed, None if camera is None else _parse_camera(camera, camera_range))
@@ -75,12 +76,12 @@ def _parse_camera(camera: Any, allowed: CameraRange) -> np.ndarray:
         try:
             return check_rigid(camera, "option reference_camera")
         except (TypeError, ValueError) as error:
-            raise ValueError(
+            raise InputError(
                 "option reference_camera must be T_cam_world, a 4x4 rigid transform, or a dict of "
                 f"{', '.join(_SPHERE_NAMES)}: {error}"
             ) from error
     if set(camera) != set(_SPHERE_NAMES):
-        raise ValueError(
+        raise InputError(
             f"option reference_camera as a dict has the keys {', '.join(_SPHERE_NAMES)}; "
             f"got {', '.join(map(str, camera)) or 'none'}"
         )
@@ -93,7 +94,7 @@ def _parse_camera(camera: Any, allowed: CameraRange) -> np.ndarray:
         value = camera[key]
         number = isinstance(value, Real) and not isinstance(value, bool)
         if not number or not low <= float(value) <= high:
-            raise ValueError(
+            raise InputError(
                 f"option reference_camera[{key!r}] must be a number within "
                 f"{low:.4g} to {high:.4g} {unit}, got {value!r}"
             )

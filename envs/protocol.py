@@ -7,9 +7,10 @@ from functools import cache
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from ..pose_estimator.device import resolve_device
-from ..pose_estimator.estimate import PoseEstimate
-from ..pose_estimator.geometry import View
+from ..core.device import resolve_device
+from ..core.errors import InputError
+from ..core.geometry import View
+from ..pose_estimator.types import PoseEstimate
 
 
 @runtime_checkable
@@ -40,7 +41,7 @@ class PoseEstimator(Protocol):
 @cache
 def _load(method: str, device: str) -> PoseEstimator:
     """Loads shipped weights once a process and device, for all its environments."""
-    from .. import pose_estimator  # imports torch: only now
+    from .. import pose_estimator
 
     return pose_estimator.load(method, device=device)
 
@@ -58,7 +59,7 @@ def resolve_estimator(
             of your own has chosen its own; without an estimator it means nothing.
 
     Raises:
-        ValueError: if the estimator is none of these, there is no such device, or a device is given
+        InputError: if the estimator is none of these, there is no such device, or a device is given
             for an object of your own.
         FileNotFoundError: if there is no such file.
     """
@@ -73,12 +74,12 @@ def resolve_estimator(
 
         return pose_estimator.load("mid", estimator, device=found)
     if not callable(getattr(estimator, "estimate", None)):
-        raise ValueError(
+        raise InputError(
             "estimator must be the name of a method, a .safetensors file, an object with "
             f"estimate(views, object_name), or None; got {estimator!r}"
         )
     if device != "auto":
-        raise ValueError(
+        raise InputError(
             "device is for an estimator that is loaded by name or from a file; your own object "
             f'runs where you made it: leave device at "auto", got {device!r}'
         )
@@ -89,14 +90,14 @@ def check_known_objects(estimator: PoseEstimator | None, object_names: Sequence[
     """Refuses objects for which the estimator has not been trained.
 
     Raises:
-        ValueError: naming the unknown objects, the known ones and the training command.
+        InputError: naming the unknown objects, the known ones and the training command.
     """
     known = getattr(estimator, "object_names", None)
     if known is None:
         return
     unknown = [name for name in object_names if name not in known]
     if unknown:
-        raise ValueError(
+        raise InputError(
             f"the estimator does not know the object(s) {', '.join(unknown)}; it was trained on "
             f"{', '.join(known)}. Train one that does with `python -m two_view_pose "
             f"train-estimator --objects {' '.join(object_names)} --data DIR --init linemod --out "

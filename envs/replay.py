@@ -12,17 +12,18 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 
-from ..pose_estimator.estimate import PoseEstimate
+from ..core.errors import InputError
+from ..pose_estimator.types import PoseEstimate
 from .actions import box_view, candidate_view, check_candidates
-from .camera import view_sphere_pose
-from .carrier import angle_at, camera_centre
 from .episode import ground_truth
-from .mirror import Mirror
 from .observation import Observation, SpherePosition, observation_space
-from .view_bank import ViewBank, read_bank
+from .simulation.camera import view_sphere_pose
+from .simulation.carrier import angle_at, camera_center
+from .view_banks.bank import ViewBank, read_bank
+from .view_banks.mirror import Mirror
 
-_METRE = np.deg2rad(60.0)
-"""How many radians between directions a metre of distance counts as where a Box action is matched
+_METER = np.deg2rad(60.0)
+"""How many radians between directions a meter of distance counts as where a Box action is matched
 to a recorded view."""
 
 
@@ -81,19 +82,19 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         render_mode: str | None = None,
     ) -> None:
         if action not in ("discrete", "box"):
-            raise ValueError(f"action must be discrete or box, got {action!r}")
+            raise InputError(f"action must be discrete or box, got {action!r}")
         if not (np.isfinite(travel_weight) and travel_weight >= 0):
-            raise ValueError(f"travel_weight must be a number of at least 0, got {travel_weight}")
+            raise InputError(f"travel_weight must be a number of at least 0, got {travel_weight}")
         self.render_mode = render_mode
         self.bank = bank if isinstance(bank, ViewBank) else load_bank_cached(os.fspath(bank))
         if not self.bank.has_estimates:
-            raise ValueError(
+            raise InputError(
                 "bank holds no estimates of second views (it was recorded with --no-estimates): "
                 "such a bank serves only to train agents with --algo greedy --visibility-bank"
             )
         first, end = (0, len(self.bank)) if scenes is None else scenes
         if not 0 <= first < end <= len(self.bank):
-            raise ValueError(f"scenes must lie within 0 to {len(self.bank)}, got {scenes}")
+            raise InputError(f"scenes must lie within 0 to {len(self.bank)}, got {scenes}")
         self._scenes = range(first, end)
         self._shuffle, self._next = shuffle, 0
         self.travel_weight = float(travel_weight)
@@ -138,20 +139,20 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         return self.bank.T_cam_world[self.scene].copy()
 
     @property
-    def sphere_centre(self) -> np.ndarray:
+    def sphere_center(self) -> np.ndarray:
         """The middle of the view sphere, (3,), world."""
-        return self.bank.centre[self.scene].copy()
+        return self.bank.center[self.scene].copy()
 
     @property
     def reference_position(self) -> SpherePosition:
         """The reference camera as seen from the middle of the view sphere."""
-        return SpherePosition.of(self.T_cam_world, self.sphere_centre)
+        return SpherePosition.of(self.T_cam_world, self.sphere_center)
 
     def camera_pose(self, action: Any) -> np.ndarray:
         """The recorded camera that an action would choose: T_cam_world (4, 4).
 
         Raises:
-            ValueError: if the action is not in the action space.
+            InputError: if the action is not in the action space.
         """
         return self.bank.second_T_cam_world[self.scene, self._slot(action)].copy()
 
@@ -165,7 +166,7 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
             options: ``scene``, the number of one in the bank.
 
         Raises:
-            ValueError: if there is no such scene or option.
+            InputError: if there is no such scene or option.
         """
         super().reset(seed=seed)
         drawn = self._scenes[int(self.np_random.integers(len(self._scenes)))]
@@ -181,7 +182,7 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         """Takes a recorded second view; the episode ends.
 
         Raises:
-            ValueError: if the action is NaN or out of the action space.
+            InputError: if the action is NaN or out of the action space.
             ResetNeeded: if the episode has ended.
         """
         scene, bank = self.scene, self.bank
@@ -223,15 +224,15 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         if self._mirrored:
             azimuth = -azimuth
         wanted = view_sphere_pose(
-            self.sphere_centre, distance, self.reference_position.azimuth + azimuth, elevation
+            self.sphere_center, distance, self.reference_position.azimuth + azimuth, elevation
         )
-        offset = camera_centre(wanted) - self.sphere_centre
+        offset = camera_center(wanted) - self.sphere_center
         recorded = self.bank.second_T_cam_world[self.scene]
-        offsets = camera_centre(recorded) - self.sphere_centre
+        offsets = camera_center(recorded) - self.sphere_center
         distances = np.linalg.norm(offsets, axis=1)
         cosine = (offsets @ offset) / (distances * np.linalg.norm(offset))
         angle = np.arccos(np.clip(cosine, -1, 1))
-        return int(np.argmin(angle + _METRE * np.abs(distances - distance)))
+        return int(np.argmin(angle + _METER * np.abs(distances - distance)))
 
     def _info(self, slot: int | None) -> dict[str, Any]:
         bank, scene = self.bank, self.scene
@@ -251,7 +252,7 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
             "T_cam_world": T_cam_world.copy(),
             "T_cam_obj": T_cam_obj.copy(),
             "travel": travel,
-            "baseline_deg": angle_at(self.sphere_centre, bank.T_cam_world[scene], T_cam_world),
+            "baseline_deg": angle_at(self.sphere_center, bank.T_cam_world[scene], T_cam_world),
             "ground_truth": ground_truth(float(bank.visibility[scene]), errors, diameter),
         }
 
@@ -266,12 +267,12 @@ def _requested_scene(options: Mapping[str, Any] | None, scenes: range, drawn: in
     """The scene that the options of ``reset`` ask for, else the drawn one."""
     unknown = sorted(set(options or {}) - {"scene"})
     if unknown:
-        raise ValueError(f"unknown reset option(s) {unknown}; allowed is scene")
+        raise InputError(f"unknown reset option(s) {unknown}; allowed is scene")
     if not options:
         return drawn
     scene = options["scene"]
     if scene not in scenes:
-        raise ValueError(
+        raise InputError(
             f"scene must be a number from {scenes.start} to {scenes.stop - 1}, got {scene!r}"
         )
     return int(scene)

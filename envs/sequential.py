@@ -10,10 +10,11 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 
+from ..core.errors import InputError
 from .actions import candidate_view
 from .episode import Episode
 from .observation import Observation
-from .studio import MAX_VIEWS
+from .simulation.simulator import MAX_VIEWS
 from .two_view_pose import TwoViewPoseDiscreteEnv
 
 
@@ -23,7 +24,7 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
     ## Description
 
     After every view the estimator answers from all views so far, and the agent decides: look once
-    more, and from where, or stop. Every view costs time and every metre a little; what counts in
+    more, and from where, or stop. Every view costs time and every meter a little; what counts in
     the end is the accuracy of the last pose.
 
     ## Action Space
@@ -70,9 +71,9 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
 
     def __init__(self, *, budget: int = 3, view_weight: float = 0.02, **kwargs: Any) -> None:
         if not 1 <= budget < MAX_VIEWS:
-            raise ValueError(f"budget must be 1 to {MAX_VIEWS - 1} second views, got {budget}")
+            raise InputError(f"budget must be 1 to {MAX_VIEWS - 1} second views, got {budget}")
         if not (np.isfinite(view_weight) and view_weight >= 0):
-            raise ValueError(f"view_weight must be a number of at least 0, got {view_weight}")
+            raise InputError(f"view_weight must be a number of at least 0, got {view_weight}")
         self._budget, self._view_weight = budget, float(view_weight)
         self._taken: list[int] = []
         super().__init__(**kwargs)
@@ -107,7 +108,7 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
         """Takes one more view, or stops.
 
         Raises:
-            ValueError: if the action is out of the action space.
+            InputError: if the action is out of the action space.
             ResetNeeded: if the episode has ended.
         """
         episode = self._running()

@@ -10,8 +10,8 @@ import numpy as np
 from gymnasium import spaces
 
 from .actions import box_view, candidate_view, check_candidates
-from .camera import CAMERA_RANGE, view_sphere_pose
-from .peeking import PeekingEnv
+from .simulate_actions import PeekingEnv
+from .simulation.camera import CAMERA_RANGE, view_sphere_pose
 
 CANDIDATE_VIEWS: tuple[tuple[float, float], ...] = tuple(
     product((-90.0, -65.0, -40.0, -15.0, 15.0, 40.0, 65.0, 90.0), (20.0, 45.0, 70.0))
@@ -30,7 +30,7 @@ class TwoViewPoseEnv(PeekingEnv):
     both images. The agent chooses where to look from. The reward is the accuracy of the final
     pose, less a small cost for the camera's travel.
 
-    Scenes are rendered by MuJoCo with LineMOD's camera (640x480) and objects modelled on LineMOD's
+    Scenes are rendered by MuJoCo with LineMOD's camera (640x480) and objects modeled on LineMOD's
     thirteen. Each scene's lights, textures and sensor are drawn anew. One decision is one episode.
 
     ```python
@@ -39,7 +39,7 @@ class TwoViewPoseEnv(PeekingEnv):
     env = gym.make("two_view_pose:TwoViewPose-v0", render_mode="rgb_array")
     observation, info = env.reset(seed=1, options={"object": "duck"})
     observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
-    print(info["ground_truth"]["add_first"], info["ground_truth"]["add_second"])  # metres
+    print(info["ground_truth"]["add_first"], info["ground_truth"]["add_second"])  # meters
     picture = env.render()
     ```
 
@@ -65,7 +65,7 @@ class TwoViewPoseEnv(PeekingEnv):
     | Key           | Shape       | Content                                                  |
     |---------------|-------------|----------------------------------------------------------|
     | `rotation`    | (6,)        | first two columns of the estimated rotation, -1 to 1     |
-    | `translation` | (3,)        | estimated position, metres, within +-1, +-1, 0 to 3      |
+    | `translation` | (3,)        | estimated position, meters, within +-1, +-1, 0 to 3      |
     | `uncertainty` | (9,)        | log10(sigma / 1 cm) of each keypoint, -2 to 2            |
     | `score`       | (1,)        | detection confidence in the reference view, 0 to 1       |
     | `object`      | (n,)        | one-hot of the target among `objects`                    |
@@ -74,7 +74,7 @@ class TwoViewPoseEnv(PeekingEnv):
     |               |             | what stands around it, 2.5 times as wide                 |
 
     `sigma` is the square root of the trace of the keypoint's covariance. `camera` holds the
-    distance (metres, 0 to 3), then sine and cosine of the elevation, of the azimuth from the
+    distance (meters, 0 to 3), then sine and cosine of the elevation, of the azimuth from the
     reference camera's, and of the roll about the optical axis.
 
     After the step the observation is that of the new estimate, in the same layout.
@@ -143,7 +143,7 @@ class TwoViewPoseEnv(PeekingEnv):
     |                 |              | is one), `"cpu"`, `"cuda"`, `"cuda:N"` or `"mps"`;     |
     |                 |              | your own object chooses for itself: leave `"auto"`     |
     | `travel_weight` | 0.05         | cost of a meter of camera travel                       |
-    | `pose_noise`    | None         | `PoseNoise` or (degrees, metres): standard deviation   |
+    | `pose_noise`    | None         | `PoseNoise` or (degrees, meters): standard deviation   |
     |                 |              | of the error in the relative camera pose that the      |
     |                 |              | estimator is given; the images and the truth stay      |
     | `randomization` | None         | a `Randomization` of lights, textures and sensor;      |
@@ -171,11 +171,11 @@ class TwoViewPoseEnv(PeekingEnv):
             action: (3,) numbers from -1 to 1.
 
         Raises:
-            ValueError: if the action is NaN or not in the action space.
+            InputError: if the action is NaN or not in the action space.
         """
         azimuth, elevation, distance = box_view(action)
         return view_sphere_pose(
-            self.sphere_centre, distance, self.reference_position.azimuth + azimuth, elevation
+            self.sphere_center, distance, self.reference_position.azimuth + azimuth, elevation
         )
 
 
@@ -220,12 +220,12 @@ class TwoViewPoseDiscreteEnv(PeekingEnv):
             action: number of the candidate view.
 
         Raises:
-            ValueError: if the action is not in the action space.
+            InputError: if the action is not in the action space.
         """
         azimuth, elevation = self._candidates[candidate_view(action, len(self._candidates))]
         reference = self.reference_position
         return view_sphere_pose(
-            self.sphere_centre,
+            self.sphere_center,
             float(np.clip(reference.distance, *CAMERA_RANGE.distance)),
             reference.azimuth + azimuth,
             elevation,

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ..pose_estimator.results import write_atomically
+from ..core.files import write_atomically
 
 
 class Window:

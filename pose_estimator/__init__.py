@@ -1,6 +1,6 @@
 """Two images in, one pose out."""
 
-from .loading import load
+from .fusion.loading import load
 from .methods import METHODS
 
 __all__ = ["METHODS", "load"]

@@ -4,44 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from PIL import Image
 
-
-def read_image(path: Path, mode: Literal["RGB", "L"] | None = "RGB") -> np.ndarray:
-    """Decodes an image file.
-
-    Args:
-        path: the file.
-        mode: ``RGB``; ``L`` for gray; None for what the file holds, such as depth of 16 bits.
-
-    Returns:
-        uint8, (H, W, 3) for RGB and (H, W) for gray; else the file's own type and channels.
-
-    Raises:
-        OSError: if the file cannot be opened.
-        ValueError: if it is not an image, or truncated or damaged.
-    """
-    try:
-        with Image.open(path) as image:
-            return np.array(image if mode in (None, image.mode) else image.convert(mode))
-    except Exception as error:  # readers of broken files fail in every way there is
-        if getattr(error, "errno", None):
-            raise
-        what = "is not a picture file (PNG, JPEG, ...), or it is truncated"
-        raise ValueError(f"image {path} {what}") from error
-
-
-def read_image_size(path: Path) -> tuple[int, int]:
-    """Height and width that an image file's header says.
-
-    Raises:
-        OSError: if the file cannot be opened, or is not an image.
-    """
-    with Image.open(path) as image:
-        return image.height, image.width
+from ..core.errors import InputError
+from ..core.images import read_image
 
 
 def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray:
@@ -57,7 +25,7 @@ def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: if it holds no matrix of numbers.
+        InputError: if it holds no matrix of numbers.
     """
     try:
         if path.suffix == ".npy":
@@ -67,43 +35,43 @@ def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray
             if isinstance(values, dict):
                 found = [key for key in keys if key in values]
                 if not found:
-                    raise ValueError(f"has none of the keys {', '.join(keys)}")
+                    raise InputError(f"has none of the keys {', '.join(keys)}")
                 values = values[found[0]]
         else:
             values = np.loadtxt(path, delimiter="," if "," in path.read_text() else None)
         matrix = np.asarray(values, dtype=np.float64)
     except (ValueError, TypeError) as error:
-        raise ValueError(f"{name}: {path} holds no matrix of numbers ({error})") from error
+        raise InputError(f"{name}: {path} holds no matrix of numbers ({error})") from error
     if matrix.size in (9, 16) and matrix.ndim == 1:
         matrix = matrix.reshape(round(matrix.size**0.5), -1)
     return matrix
 
 
 _NEAREST, _FARTHEST = 0.05, 30.0
-"""Metres between which the median of a depth map is to be: else its unit is wrong."""
+"""Meters between which the median of a depth map is to be: else its unit is wrong."""
 
 
 def read_depth_map(path: Path, unit: float | None = None) -> np.ndarray:
-    """Reads a depth map in metres, float32 (H, W), 0 where nothing was seen.
+    """Reads a depth map in meters, float32 (H, W), 0 where nothing was seen.
 
     Args:
-        path: a 16-bit grey PNG or TIFF, or a .npy.
-        unit: metres that a step of the file means; none = millimetres for whole numbers and metres
+        path: a 16-bit gray PNG or TIFF, or a .npy.
+        unit: meters that a step of the file means; none = millimeters for whole numbers and meters
             for others.
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: if it holds no map, or the unit cannot be right.
+        InputError: if it holds no map, or the unit cannot be right.
     """
     if unit is not None and not 0 < unit < float("inf"):
-        raise ValueError(f"depth_unit must be positive metres a step, got {unit}")
+        raise InputError(f"depth_unit must be positive meters a step, got {unit}")
     try:
         npy = path.suffix == ".npy"
         steps = np.load(path, allow_pickle=False) if npy else read_image(path, None)
     except (EOFError, ValueError) as error:
-        raise ValueError(f"depth {path} is neither a picture file nor a .npy array") from error
+        raise InputError(f"depth {path} is neither a picture file nor a .npy array") from error
     if steps.ndim != 2 or steps.dtype.kind not in "uif" or steps.dtype == np.uint8:
-        raise ValueError(
+        raise InputError(
             f"depth {path} must be one channel of 16 bits or more (or a .npy of numbers), got "
             f"{steps.dtype} of shape {steps.shape}"
         )
@@ -112,7 +80,7 @@ def read_depth_map(path: Path, unit: float | None = None) -> np.ndarray:
     depth = (steps.astype(np.float64) * unit).astype(np.float32)
     seen = depth[np.isfinite(depth) & (depth > 0)]
     if seen.size and not _NEAREST < float(np.median(seen)) < _FARTHEST:
-        raise ValueError(
+        raise InputError(
             f"depth {path} has a median of {np.median(seen):.4g} m, which cannot be: "
             f"what is a step of it? depth_unit is {unit:g} m"
         )

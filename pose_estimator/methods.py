@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from .single_view import SingleViewEstimator
+from ..core.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -34,11 +33,10 @@ class Method:
     color: str
     marker: str
 
-    def estimator_class(self) -> type[SingleViewEstimator]:
+    def estimator_class(self) -> type[Any]:
         """The class behind ``estimator``; imports torch."""
         module, name = self.estimator.split(":")
-        found: Any = getattr(import_module(f".{module}", __package__), name)
-        return found
+        return getattr(import_module(f".{module}", __package__), name)
 
 
 METHOD_TABLE = {
@@ -46,23 +44,23 @@ METHOD_TABLE = {
     for method in (
         Method(
             "single", "one view", 1, False, ("detector", "features"),
-            "single_view:SingleViewEstimator", "#7a7f87", "v",
+            "fusion.single:SingleViewEstimator", "#7a7f87", "v",
         ),
         Method(
             "early", "a depth map from two views", 2, False, ("detector", "features", "cascade"),
-            "early_fusion:EarlyFusionEstimator", "#e69f00", "s",
+            "fusion.early:EarlyFusionEstimator", "#e69f00", "s",
         ),
         Method(
             "late", "triangulated votes of two views", 2, False, ("detector", "features"),
-            "late_fusion:LateFusionEstimator", "#56a4d9", "D",
+            "fusion.late:LateFusionEstimator", "#56a4d9", "D",
         ),
         Method(
             "mid", "Mid-Fusion of two views", 2, False, ("detector", "features", "volume"),
-            "mid_fusion:MidFusionEstimator", "#c8401e", "o",
+            "fusion.mid:MidFusionEstimator", "#c8401e", "o",
         ),
         Method(
             "rgbd", "one view and a depth sensor", 1, True, ("detector", "features", "points"),
-            "rgbd:RgbdEstimator", "#1b8a5a", "^",
+            "fusion.rgbd:RgbdEstimator", "#1b8a5a", "^",
         ),
     )
 }  # fmt: skip
@@ -76,8 +74,8 @@ def find_method(name: str) -> Method:
     """The method of a name.
 
     Raises:
-        ValueError: if there is none.
+        InputError: if there is none.
     """
     if name not in METHOD_TABLE:
-        raise ValueError(f"unknown method {name!r}; there are {', '.join(METHODS)}")
+        raise InputError(f"unknown method {name!r}; there are {', '.join(METHODS)}")
     return METHOD_TABLE[name]

@@ -36,7 +36,7 @@ def keypoint_permutations(
     Args:
         keypoints: (9, 3).
         symmetries: (S, 4, 4), identity first.
-        tolerance: metres.
+        tolerance: meters.
 
     Returns:
         (P, 9) index arrays, the identity first: keypoint i of ``T @ symmetries[p]`` lies where

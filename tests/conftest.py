@@ -1,17 +1,11 @@
 """What every test run says first, and what several files ask for."""
 
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 import two_view_pose
-
-HERE = Path(__file__).parent
-if str(HERE) not in sys.path:  # where made_bank.py is
-    sys.path.insert(0, str(HERE))
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -25,9 +19,9 @@ def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
 @pytest.fixture(scope="module")
 def tiny_training() -> Iterator[None]:
     """Batches of two, and no measuring while training."""
-    from two_view_pose.pose_estimator.stages import CropStage, DetectorStage
-    from two_view_pose.pose_estimator.training_config import STAGE_DEFAULTS
-    from two_view_pose.pose_estimator.volume_stage import VolumeStage
+    from two_view_pose.pose_estimator.training.config import STAGE_DEFAULTS
+    from two_view_pose.pose_estimator.training.stages import CropStage, DetectorStage
+    from two_view_pose.pose_estimator.training.volume_stage import VolumeStage
 
     with pytest.MonkeyPatch.context() as patch:
         for name, settings in STAGE_DEFAULTS.items():
@@ -63,7 +57,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_report_header() -> list[str]:
     """Which copy of the package is under test, a checkout's or an installed wheel's, on what."""
-    from two_view_pose.pose_estimator.processor import describe_processor
+    from two_view_pose.core.processor import describe_processor
 
     return [f"two_view_pose: {two_view_pose.__file__}", f"processor: {describe_processor()}"]
 
@@ -71,6 +65,6 @@ def pytest_report_header() -> list[str]:
 @pytest.fixture
 def make_bank() -> Callable[..., Any]:
     """Makes view banks of scenes that nobody has rendered, see ``made_bank.py``."""
-    from made_bank import made_bank
+    from helpers.made_bank import made_bank
 
     return made_bank

@@ -1,4 +1,4 @@
-"""The command line: help, options, error messages, and the verb `estimate`."""
+"""The command line: help, options, error messages, and the command `estimate`."""
 
 import json
 import re
@@ -13,11 +13,11 @@ import pytest
 import tyro
 from PIL import Image
 from scipy.spatial.transform import Rotation
-from two_view_pose.__main__ import VERBS, find, main
+from two_view_pose.__main__ import COMMANDS, find, main
 from two_view_pose.assets import OBJECT_NAMES, load_object
+from two_view_pose.core.geometry import LINEMOD_K
 from two_view_pose.envs import protocol
-from two_view_pose.pose_estimator import loading
-from two_view_pose.pose_estimator.geometry import LINEMOD_K
+from two_view_pose.pose_estimator.fusion import loading
 
 OPTIONS = {
     "demo": "seed object scene policy device out json",
@@ -38,19 +38,19 @@ OPTIONS = {
 def test_every_verb_is_listed(capsys):
     assert main(["--help"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert set(OPTIONS) == set(VERBS)
-    for verb in OPTIONS:
-        (line,) = [line for line in lines if line.startswith(f"  {verb} ")]
+    assert set(OPTIONS) == set(COMMANDS)
+    for command in OPTIONS:
+        (line,) = [line for line in lines if line.startswith(f"  {command} ")]
         assert len(line) <= 88
 
 
-@pytest.mark.parametrize("verb", OPTIONS)
-def test_help_names_the_options(verb, capsys):
+@pytest.mark.parametrize("command", OPTIONS)
+def test_help_names_the_options(command, capsys):
     with pytest.raises(SystemExit) as stop:
-        main([verb, "--help"])
+        main([command, "--help"])
     assert stop.value.code == 0
     words = set(capsys.readouterr().out.replace(",", " ").split())
-    assert {f"--{option}" for option in OPTIONS[verb].split()} <= words
+    assert {f"--{option}" for option in OPTIONS[command].split()} <= words
 
 
 def test_commands_in_the_readme_are_understood():
@@ -58,8 +58,8 @@ def test_commands_in_the_readme_are_understood():
     commands = re.findall(r"^python -m two_view_pose (.+)$", text, flags=re.MULTILINE)
     assert len(commands) > 5
     for line in commands:
-        verb, *options = shlex.split(line, comments=True)
-        tyro.cli(find(VERBS[verb].config), args=options)
+        command, *options = shlex.split(line, comments=True)
+        tyro.cli(find(COMMANDS[command].config), args=options)
 
 
 def test_help_is_quick_to_come():
@@ -132,7 +132,7 @@ def small_image(inputs):
 
 
 def depth_map(inputs, shape=(480, 640), suffix=".png", kind=np.uint16):
-    """A depth map of 0.9 m everywhere but in a corner: whole millimetres, or metres."""
+    """A depth map of 0.9 m everywhere but in a corner: whole millimeters, or meters."""
     depth = np.full(shape, 0.9 if kind == np.float32 else 900, kind)
     depth[:10, :10] = 0
     path = inputs.folder / f"depth{suffix}"
@@ -180,7 +180,7 @@ WRONG = {
         dict(method=lambda i: "rgbd", depth=lambda i: depth_map(i, (240, 320))),
         "depth must have the image",
     ),
-    "depth in metres told as millimetres": (
+    "depth in meters told as millimeters": (
         {
             "method": lambda i: "rgbd",
             "depth": lambda i: depth_map(i),
@@ -227,7 +227,7 @@ class KnownPose:
             T_cam_obj=self.T_cam_obj,
             keypoints=load_object(object_name).keypoints + self.T_cam_obj[:3, 3],
             keypoint_covariance=np.tile(np.eye(3) * 1e-6, (9, 1, 1)),
-            rois=[SimpleNamespace(centre=np.array([300.0, 200.0]), side=90.0, score=0.5)] * 2,
+            rois=[SimpleNamespace(center=np.array([300.0, 200.0]), side=90.0, score=0.5)] * 2,
         )
 
 

@@ -1,4 +1,4 @@
-"""`--device`: what every verb that runs a network says of it, refuses, and hands on."""
+"""`--device`: what every command that runs a network says of it, refuses, and hands on."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 import torch
 from two_view_pose.__main__ import main
-from two_view_pose.agents.config import EvaluateAgentConfig, TrainAgentConfig
-from two_view_pose.agents.validation import record_missing
-from two_view_pose.envs import record_bank
-from two_view_pose.envs.record_bank import RecordBankConfig
+from two_view_pose.agents.training.config import EvaluateAgentConfig, TrainAgentConfig
+from two_view_pose.agents.training.validation import record_missing
+from two_view_pose.envs.recording import record_bank
+from two_view_pose.envs.recording.record_bank import RecordBankConfig
 
-VERBS = {
+COMMANDS = {
     "demo": "--out {0}/demo.png",
     "evaluate": "--keep {0}/scenes",
     "estimate": "--reference {0}/no.png --object can --K linemod --out {0}/pose.json",
@@ -28,9 +28,9 @@ UNKNOWN = "device must be auto, cpu, cuda, cuda:N or mps, got 'tpu'"
 @pytest.mark.parametrize(
     ("device", "message"), [("cuda", NO_GPU), ("cuda:3", NO_GPU), ("tpu", UNKNOWN)]
 )
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_a_device_that_is_not_there_ends_in_one_line(
-    verb: str,
+    command: str,
     device: str,
     message: str,
     tmp_path: Path,
@@ -39,20 +39,20 @@ def test_a_device_that_is_not_there_ends_in_one_line(
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     # Whatever is slow begins with one of these, or writes something.
-    for slow in ("gymnasium.make", "two_view_pose.envs.evaluate.generate"):
+    for slow in ("gymnasium.make", "two_view_pose.envs.commands.evaluate.generate"):
         monkeypatch.setattr(slow, lambda *_, **__: pytest.fail("the device was looked at too late"))
-    options = VERBS[verb].format(tmp_path).split()
-    assert main([verb, *options, "--device", device]) == 2
+    options = COMMANDS[command].format(tmp_path).split()
+    assert main([command, *options, "--device", device]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: device") and error.count("\n") == 1
     assert message in error
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("verb", VERBS)
-def test_the_help_says_what_there_is(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_says_what_there_is(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        main([verb, "--help"])
+        main([command, "--help"])
     words = " ".join(capsys.readouterr().out.replace("│", " ").split())
     _, said = words.split("--device ", maxsplit=1)
     expected = (

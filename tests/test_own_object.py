@@ -12,15 +12,15 @@ import trimesh
 from PIL import Image
 from two_view_pose import pose_estimator
 from two_view_pose.__main__ import main
-from two_view_pose.pose_estimator.bop import read_dataset
-from two_view_pose.pose_estimator.bop_models_info import read_models_info
-from two_view_pose.pose_estimator.bop_pairs import read_pairs
-from two_view_pose.pose_estimator.checkpoints import read_numbers
-from two_view_pose.pose_estimator.geometry import check_rigid
-from two_view_pose.pose_estimator.results import read_results
-from two_view_pose.pose_estimator.stages import CropStage, DetectorStage
-from two_view_pose.pose_estimator.volume_stage import VolumeStage
-from two_view_pose.pose_estimator.weights import read_header
+from two_view_pose.core.geometry import check_rigid
+from two_view_pose.core.results import read_results
+from two_view_pose.pose_estimator.bop.dataset import read_dataset
+from two_view_pose.pose_estimator.bop.models_info import read_models_info
+from two_view_pose.pose_estimator.bop.pairs import read_pairs
+from two_view_pose.pose_estimator.networks.weights import read_header
+from two_view_pose.pose_estimator.training.checkpoints import read_numbers
+from two_view_pose.pose_estimator.training.stages import CropStage, DetectorStage
+from two_view_pose.pose_estimator.training.volume_stage import VolumeStage
 
 SMALL = "--views 2 --view-angles 10 60 --width 160 --height 120 --workers 1"
 
@@ -35,14 +35,14 @@ pytestmark = pytest.mark.usefixtures("tiny_training")
 
 @pytest.fixture(scope="module")
 def mesh(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A coloured bracket in metres."""
+    """A colored bracket in meters."""
     parts = []
-    for extents, middle, colour in (
+    for extents, middle, color in (
         ((0.14, 0.06, 0.03), (0, 0, 0), (200, 60, 40, 255)),
         ((0.03, 0.06, 0.09), (-0.055, 0, 0.06), (60, 90, 190, 255)),
     ):
         part = trimesh.creation.box(extents).apply_translation(middle)
-        part.visual = trimesh.visual.ColorVisuals(part, vertex_colors=[colour] * 8)
+        part.visual = trimesh.visual.ColorVisuals(part, vertex_colors=[color] * 8)
         parts.append(part)
     path = tmp_path_factory.mktemp("parts") / "bracket.ply"
     trimesh.util.concatenate(parts).export(path)

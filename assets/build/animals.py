@@ -1,4 +1,4 @@
-"""Ape, cat and duck: three toy animals after LineMOD's, in millimetres, standing on z = 0."""
+"""Ape, cat and duck: three toy animals after LineMOD's, in millimeters, standing on z = 0."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def cat() -> Solid:
     front = mirrored(_limb((12, 24, 36, 10), (14, 32, 14, 8), (14.5, 37, 8, 10)), 0)
     hind = mirrored(_limb((12, -32, 38, 13), (15, -44, 18, 9), (15.5, -36, 8, 10)), 0)
     tail = _limb((0, -44, 46, 8), (-4, -54, 60, 7), (-11, -57, 76, 6), (-21, -54, 88, 6.5))
-    # The head is made looking along +x about its own centre, then turned and put on the neck.
+    # The head is made looking along +x about its own center, then turned and put on the neck.
     skull = union(
         ellipsoid((0, 0, 0), (28, 33, 27)), ellipsoid((21, 0, -10), (12, 17, 10)), smooth=6
     )
@@ -99,8 +99,8 @@ def cat() -> Solid:
     )
     ear = subtract(ear, cylinder((10, 18, 12), (2, 27, 38), 11, 1.0), smooth=1)
     ears = mirrored(ear, 1)
-    centre, turn = (3, 32, 76), (0, 0, 52)
-    head = moved(union(skull, ears, smooth=3), centre, turn)
+    center, turn = (3, 32, 76), (0, 0, 52)
+    head = moved(union(skull, ears, smooth=3), center, turn)
     collar = torus((2, 27, 54), (0.1, 0.5, 1), 17, 3.5)
     bell = sphere((14, 42, 48), 5)
     shape = intersect(
@@ -118,7 +118,7 @@ def cat() -> Solid:
     eyes, pupils = mirrored(sphere((25, 12, 3), 6.5), 1), mirrored(sphere((29, 11.5, 3), 4.4), 1)
     glints = mirrored(sphere((31.2, 9.6, 5.8), 1.9), 1)
     forehead = [
-        (moved(box((14, y, 24), (26, 3.5, 12), 1), centre, turn), stripe) for y in (-8.0, 0.0, 8.0)
+        (moved(box((14, y, 24), (26, 3.5, 12), 1), center, turn), stripe) for y in (-8.0, 0.0, 8.0)
     ]
     coat = painted(
         orange,
@@ -127,15 +127,15 @@ def cat() -> Solid:
         (half_space((0, 0, 12), (0, 0, 1)), WHITE),
         *rings,
         (sphere((-20, -53, 92), 12), WHITE),
-        (moved(sphere((0, 0, 4), 36), centre, turn), orange),
+        (moved(sphere((0, 0, 4), 36), center, turn), orange),
         *forehead,
-        (moved(inner_ears, centre, turn), (0.92, 0.62, 0.58)),
-        (moved(muzzle, centre, turn), WHITE),
-        (moved(eyes, centre, turn), (0.42, 0.62, 0.22)),
-        (moved(pupils, centre, turn), BLACK),
-        (moved(glints, centre, turn), WHITE),
-        (moved(ellipsoid((32, 0, -5.5), (4, 4, 3)), centre, turn), (0.85, 0.35, 0.38)),
-        (moved(box((31, 0, -13), (6, 1.3, 9)), centre, turn), stripe),
+        (moved(inner_ears, center, turn), (0.92, 0.62, 0.58)),
+        (moved(muzzle, center, turn), WHITE),
+        (moved(eyes, center, turn), (0.42, 0.62, 0.22)),
+        (moved(pupils, center, turn), BLACK),
+        (moved(glints, center, turn), WHITE),
+        (moved(ellipsoid((32, 0, -5.5), (4, 4, 3)), center, turn), (0.85, 0.35, 0.38)),
+        (moved(box((31, 0, -13), (6, 1.3, 9)), center, turn), stripe),
         (torus((2, 27, 54), (0.1, 0.5, 1), 17, 4.3), (0.12, 0.25, 0.65)),
         (sphere((14, 42, 48), 5.8), (0.95, 0.80, 0.20)),
     )

@@ -11,7 +11,8 @@ import trimesh
 import tyro
 from tqdm import tqdm
 
-from ...pose_estimator.results import write_atomically
+from ...core.errors import InputError
+from ...core.files import write_atomically
 from .. import surface, texture
 from ..object_model import ObjectModel
 from ..storage import save_object
@@ -43,11 +44,11 @@ class BuildCommand:
         """Builds, with a progress bar.
 
         Raises:
-            ValueError: if a name in ``only`` is none of the thirteen.
+            InputError: if a name in ``only`` is none of the thirteen.
         """
         unknown = sorted(set(self.only) - set(BLUEPRINTS))
         if unknown:
-            raise ValueError(f"--only names {unknown}, which is none of {list(BLUEPRINTS)}")
+            raise InputError(f"--only names {unknown}, which is none of {list(BLUEPRINTS)}")
         names = [name for name in BLUEPRINTS if not self.only or name in self.only]
         models = {}
         progress = tqdm(names, unit="object")
@@ -62,7 +63,7 @@ def build_object(name: str, blueprint: Blueprint, texture_size: int = 256) -> Ob
     """Meshes, unwraps and paints one object.
 
     Raises:
-        ValueError: if the solid cannot be meshed to its size, or does not stand upright.
+        InputError: if the solid cannot be meshed to its size, or does not stand upright.
     """
     solid = blueprint.solid()
     meshed = mesh_solid(solid, blueprint.extents, blueprint.diameter)
@@ -81,7 +82,7 @@ def build_object(name: str, blueprint: Blueprint, texture_size: int = 256) -> Ob
     mesh = trimesh.Trimesh(vertices, faces)
     clearance = surface.support_margin(mesh, tolerance=0.004 * blueprint.diameter)
     if clearance <= 0:
-        raise ValueError(f"{name} does not stand upright: its centre of mass is off its base")
+        raise InputError(f"{name} does not stand upright: its center of mass is off its base")
     symmetries = np.stack([np.eye(4), HALF_TURN] if blueprint.symmetric else [np.eye(4)])
     return ObjectModel(
         name=name,

@@ -1,4 +1,4 @@
-"""Six household objects as solids, in millimetres, standing on z = 0.
+"""Six household objects as solids, in millimeters, standing on z = 0.
 
 Like LineMOD's, they have large plain surfaces in few colors. Their sizes are met exactly when
 they are meshed; here they only have the right proportions.

@@ -15,6 +15,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
+from ...core.errors import InputError
 from .solids import Vector
 
 MAX_BEND = 0.2
@@ -32,7 +33,7 @@ class SizeFit:
     """Points brought to their real size.
 
     Attributes:
-        points: (N, 3), metres, their bounding box centred on the origin.
+        points: (N, 3), meters, their bounding box centered on the origin.
         undo: maps points (M, 3) of their frame back to where the given points came from.
         bend: how far the corners had to be pulled in, at most `MAX_BEND`.
     """
@@ -47,23 +48,23 @@ def fit_size(vertices: np.ndarray, extents_m: Vector, diameter_m: float) -> Size
 
     Args:
         vertices: (N, 3), in units of their own.
-        extents_m: (3,) side lengths of the bounding box, metres.
-        diameter_m: largest distance between two of the points, metres.
+        extents_m: (3,) side lengths of the bounding box, meters.
+        diameter_m: largest distance between two of the points, meters.
 
     Raises:
-        ValueError: if a bend of `MAX_BEND` does not bring them to the diameter.
+        InputError: if a bend of `MAX_BEND` does not bring them to the diameter.
     """
     target = np.asarray(extents_m, dtype=float)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    centre, half = (low + high) / 2, (high - low) / 2
-    unit = (vertices - centre) / half
+    center, half = (low + high) / 2, (high - low) / 2
+    unit = (vertices - center) / half
 
     def excess(bend: float) -> float:
         return _diameter(_fit(_bend(unit, bend), target)[0]) - diameter_m
 
     bend = _best_bend(lambda bend: abs(excess(bend)) / diameter_m + BEND_PRICE * abs(bend))
     if abs(excess(bend)) > MAX_DIAMETER_ERROR * diameter_m:
-        raise ValueError(
+        raise InputError(
             f"diameter_m {diameter_m:.4f} is out of this shape's reach: with the extents "
             f"{target.tolist()} it is {diameter_m + excess(0.0):.4f} unbent and "
             f"{diameter_m + excess(bend):.4f} at best"
@@ -71,7 +72,7 @@ def fit_size(vertices: np.ndarray, extents_m: Vector, diameter_m: float) -> Size
     points, scale, offset = _fit(_bend(unit, bend), target)
 
     def undo(points: np.ndarray) -> np.ndarray:
-        return _unbend((points - offset) / scale, bend) * half + centre
+        return _unbend((points - offset) / scale, bend) * half + center
 
     return SizeFit(points, undo, bend)
 

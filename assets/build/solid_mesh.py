@@ -11,6 +11,7 @@ import manifold3d
 import numpy as np
 import trimesh
 
+from ...core.errors import InputError
 from .size_fit import fit_size
 from .solids import Solid, Vector
 
@@ -20,7 +21,7 @@ class MeshedSolid:
     """A solid brought to its real size.
 
     Attributes:
-        mesh: watertight, in one piece, metres, centred on its bounding box.
+        mesh: watertight, in one piece, meters, centered on its bounding box.
         to_solid: maps points (N, 3) of the mesh's frame back to the solid's coordinates.
         bend: how far the corners had to be pulled in to meet the diameter, at most
             `size_fit.MAX_BEND`.
@@ -36,11 +37,11 @@ def mesh_solid(solid: Solid, extents_m: Vector, diameter_m: float) -> MeshedSoli
 
     Args:
         solid: the object.
-        extents_m: (3,) side lengths of the bounding box, metres.
-        diameter_m: largest distance between two points of the surface, metres.
+        extents_m: (3,) side lengths of the bounding box, meters.
+        diameter_m: largest distance between two points of the surface, meters.
 
     Raises:
-        ValueError: if the surface is open (``bounds`` too tight), comes in several pieces, or is
+        InputError: if the surface is open (``bounds`` too tight), comes in several pieces, or is
             of a shape that cannot be brought to the diameter.
     """
     vertices, faces = _decimate(_level_set(solid), solid.faces, solid.edge_length)
@@ -68,10 +69,10 @@ def _level_set(solid: Solid) -> manifold3d.Manifold:
         lambda x, y, z: known[x, y, z], limits, solid.edge_length
     )
     if surface.is_empty():
-        raise ValueError(f"the solid has no surface within bounds {bounds.tolist()}")
+        raise InputError(f"the solid has no surface within bounds {bounds.tolist()}")
     box_low, box_high = np.reshape(surface.bounding_box(), (2, 3))
     if (box_low <= bounds[0]).any() or (box_high >= bounds[1]).any():
-        raise ValueError(
+        raise InputError(
             f"bounds {bounds.tolist()} cut the solid, which reaches from "
             f"{box_low.tolist()} to {box_high.tolist()}"
         )
@@ -80,7 +81,7 @@ def _level_set(solid: Solid) -> manifold3d.Manifold:
     pieces = [piece for piece in surface.decompose() if piece.volume() > crumb]
     if len(pieces) != 1:
         boxes = [np.round(piece.bounding_box(), 3).tolist() for piece in pieces]
-        raise ValueError(f"a solid must be in one piece, this one has {len(pieces)}, at {boxes}")
+        raise InputError(f"a solid must be in one piece, this one has {len(pieces)}, at {boxes}")
     return pieces[0]
 
 
@@ -109,4 +110,4 @@ def _decimate(
         whole = mesh.body_count == 1 and len(mesh.faces) <= 1.05 * count
         if sound and whole and mesh.area_faces.min() > 1e-9 * mesh.area:
             return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    raise ValueError(f"the surface tears when reduced to {count} faces; try another edge_length")
+    raise InputError(f"the surface tears when reduced to {count} faces; try another edge_length")

@@ -49,15 +49,15 @@ class Solid:
 # Primitives
 
 
-def sphere(centre: Vector, radius: float) -> Sdf:
+def sphere(center: Vector, radius: float) -> Sdf:
     """A ball."""
-    c = np.asarray(centre, dtype=float)
+    c = np.asarray(center, dtype=float)
     return lambda p: np.linalg.norm(p - c, axis=1) - radius
 
 
-def ellipsoid(centre: Vector, radii: Vector) -> Sdf:
+def ellipsoid(center: Vector, radii: Vector) -> Sdf:
     """An ellipsoid with semi-axes along x, y, z; the distance is first order."""
-    c, r = np.asarray(centre, dtype=float), np.asarray(radii, dtype=float)
+    c, r = np.asarray(center, dtype=float), np.asarray(radii, dtype=float)
 
     def sdf(p: np.ndarray) -> np.ndarray:
         scaled = (p - c) / r
@@ -68,9 +68,9 @@ def ellipsoid(centre: Vector, radii: Vector) -> Sdf:
     return sdf
 
 
-def box(centre: Vector, size: Vector, rounding: float = 0.0) -> Sdf:
+def box(center: Vector, size: Vector, rounding: float = 0.0) -> Sdf:
     """A box of full side lengths ``size``, its edges rounded with radius ``rounding``."""
-    c, half = np.asarray(centre, dtype=float), np.asarray(size, dtype=float) / 2 - rounding
+    c, half = np.asarray(center, dtype=float), np.asarray(size, dtype=float) / 2 - rounding
 
     def sdf(p: np.ndarray) -> np.ndarray:
         return _outside_and_inside(np.abs(p - c) - half) - rounding
@@ -116,9 +116,9 @@ def cylinder(
     return sdf
 
 
-def torus(centre: Vector, axis: Vector, major: float, minor: float) -> Sdf:
+def torus(center: Vector, axis: Vector, major: float, minor: float) -> Sdf:
     """A ring of radius ``major`` about ``axis``, of thickness radius ``minor``."""
-    c, n = np.asarray(centre, dtype=float), np.asarray(axis, dtype=float)
+    c, n = np.asarray(center, dtype=float), np.asarray(axis, dtype=float)
     n = n / np.linalg.norm(n)
 
     def sdf(p: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Bench vise, driller, hole puncher and iron: after LineMOD's, in millimetres, on z = 0."""
+"""Bench vise, driller, hole puncher and iron: after LineMOD's, in millimeters, on z = 0."""
 
 from __future__ import annotations
 

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from two_view_pose.agents.config import TrainAgentConfig
-
-HERE = Path(__file__).parent
-if str(HERE) not in sys.path:  # "toy_env:ToyView-v0" is found here, as it is by a killed subprocess
-    sys.path.insert(0, str(HERE))
+from two_view_pose.agents.training.config import TrainAgentConfig
 
 HYPERPARAMETERS = """
 ppo:
@@ -57,7 +52,9 @@ def config(tmp_path: Path, hyperparameters: Path) -> Callable[..., TrainAgentCon
     """Makes a training configuration on the toy environment."""
 
     def make(algo: str = "ppo", out: str = "agent", **fields: Any) -> TrainAgentConfig:
-        env = "toy_env:ToyViewDiscrete-v0" if algo == "dqn" else "toy_env:ToyView-v0"
+        env = (
+            "helpers.toy_env:ToyViewDiscrete-v0" if algo == "dqn" else "helpers.toy_env:ToyView-v0"
+        )
         defaults: dict[str, Any] = {
             "env": env,
             "estimator": None,

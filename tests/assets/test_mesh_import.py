@@ -30,7 +30,7 @@ def colors_at(model: assets.ObjectModel, count: int = 3000) -> tuple[np.ndarray,
 
 
 def bottle(subdivisions: int = 2, scale: float = 0.1) -> trimesh.Trimesh:
-    """An egg-shaped mesh of ``scale`` metres height, its middle off the origin."""
+    """An egg-shaped mesh of ``scale`` meters height, its middle off the origin."""
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.5)
     mesh.vertices *= (0.6, 0.8, 1.0)
     mesh.vertices += (0.1, 0.2, 0.3)
@@ -105,7 +105,7 @@ def test_textures_survive(tmp_path: Path, suffix: str) -> None:
     assert np.abs(colors - expected)[clear].mean() < 0.02
 
 
-def test_a_mesh_without_colors_is_grey(tmp_path: Path) -> None:
+def test_a_mesh_without_colors_is_gray(tmp_path: Path) -> None:
     path = tmp_path / "egg.stl"
     bottle().export(path)
     model = import_mesh(path)

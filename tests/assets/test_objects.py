@@ -11,7 +11,7 @@ from scipy.spatial.distance import pdist
 from two_view_pose import assets
 from two_view_pose.assets.texture import sample_texture
 
-# Number, diameter and extents in millimetres, from LineMOD's models_info.json.
+# Number, diameter and extents in millimeters, from LineMOD's models_info.json.
 LINEMOD = {
     "ape": (1, 102.099, (75.87, 77.6, 91.77)),
     "benchvise": (2, 247.506, (215.67, 121.86, 219.41)),
@@ -80,13 +80,13 @@ def test_textures_cover_the_surface(model: assets.ObjectModel) -> None:
     areas = np.abs(np.linalg.det(sides)) / 2
     mesh = welded(model)
     density = areas.sum() * model.texture.shape[0] ** 2 / (1e6 * mesh.area)
-    assert density > 0.2  # texels for each square millimetre
+    assert density > 0.2  # texels for each square millimeter
     _, colors = surface_colors(model)
     distinct = np.unique(np.round(5 * colors), axis=0)
     assert len(distinct) >= 3  # painted, not plain
 
 
-def test_keypoints_are_farthest_points_and_the_centre(model: assets.ObjectModel) -> None:
+def test_keypoints_are_farthest_points_and_the_center(model: assets.ObjectModel) -> None:
     assert model.keypoints.shape == (9, 3)
     np.testing.assert_array_equal(model.keypoints[8], 0.0)
     distances, _ = KDTree(model.vertices).query(model.keypoints[:8])

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from two_view_pose import assets
 from two_view_pose.assets.storage import read_object, save_object
-from two_view_pose.pose_estimator.metrics import add_or_add_s
+from two_view_pose.pose_estimator.evaluation.metrics import add_or_add_s
 
 
 def test_round_trip_keeps_every_bit(tmp_path: Path) -> None:

@@ -58,5 +58,5 @@ def test_what_cannot_stand_upright_lies() -> None:
 def test_support_margin_of_a_box() -> None:
     box = trimesh.creation.box(extents=(0.1, 0.06, 0.2))
     assert surface.support_margin(box, tolerance=1e-4) == pytest.approx(0.03)
-    box.vertices[:, 0] += 2.0 * box.vertices[:, 2]  # leans over: shifts the centre of mass by 0.2
+    box.vertices[:, 0] += 2.0 * box.vertices[:, 2]  # leans over: shifts the center of mass by 0.2
     assert surface.support_margin(box, tolerance=1e-4) == pytest.approx(-0.15)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from two_view_pose.assets.texture import bake, rasterise, sample_texture, unwrap
+from two_view_pose.assets.texture import bake, rasterize, sample_texture, unwrap
 
 
 def rainbow(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -34,20 +34,20 @@ def test_unwrapping_keeps_the_surface() -> None:
 
 def test_charts_do_not_overlap() -> None:
     _, faces, uv = unwrap(trimesh.creation.box(extents=(0.1, 0.2, 0.05)))
-    rows, columns, face, weights = rasterise(uv[faces].astype(float), 512)
+    rows, columns, face, weights = rasterize(uv[faces].astype(float), 512)
     inner = weights.min(axis=1) > 0.02
     places = np.stack([rows, columns], axis=1)[inner]
     assert len(np.unique(places, axis=0)) == len(places)
     assert set(face.tolist()) == set(range(len(faces)))
 
 
-def test_rasterised_texels_lie_in_their_triangle() -> None:
+def test_rasterized_texels_lie_in_their_triangle() -> None:
     rng = np.random.default_rng(0)
     triangles = rng.random((20, 3, 2))
-    rows, columns, face, weights = rasterise(triangles, 64)
-    centres = np.stack([(columns + 0.5) / 64, 1 - (rows + 0.5) / 64], axis=1)
+    rows, columns, face, weights = rasterize(triangles, 64)
+    centers = np.stack([(columns + 0.5) / 64, 1 - (rows + 0.5) / 64], axis=1)
     np.testing.assert_allclose(
-        np.einsum("nk,nki->ni", weights, triangles[face]), centres, atol=1e-12
+        np.einsum("nk,nki->ni", weights, triangles[face]), centers, atol=1e-12
     )
     areas = np.abs(np.linalg.det(triangles[:, 1:] - triangles[:, :1])) / 2
     counts = np.bincount(face, minlength=20) / 64**2

@@ -12,8 +12,8 @@ from typing import Any
 
 import gymnasium as gym
 import torch
-from two_view_pose.pose_estimator.cores import available_cores
-from two_view_pose.pose_estimator.features import FeatureConfig, KeypointNet
+from two_view_pose.core.cpu_cores import available_cores
+from two_view_pose.pose_estimator.networks.features import FeatureConfig, KeypointNet
 
 from .config import BenchConfig
 from .estimator import PAIRS, draw_pairs, fresh_views

@@ -15,7 +15,7 @@ from time import perf_counter
 
 import tyro
 from rich.console import Console
-from two_view_pose.pose_estimator.results import write_atomically
+from two_view_pose.core.files import write_atomically
 
 from .config import GROUPS, BenchConfig
 from .kept import Measured, conditions

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from two_view_pose.pose_estimator.single_view import SingleViewEstimator
+    from two_view_pose.pose_estimator.fusion.single import SingleViewEstimator
 
 
 class Group(NamedTuple):

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from two_view_pose import assets
-from two_view_pose.envs.arrangement import Arrangement, Prop
-from two_view_pose.envs.camera import view_sphere_pose
-from two_view_pose.envs.placement import PlacedObject
-from two_view_pose.envs.renderer import SceneRenderer
-from two_view_pose.envs.scene import Scene
-from two_view_pose.pose_estimator.inference import Inference
+from two_view_pose.envs.simulation.arrangement import Arrangement, Prop
+from two_view_pose.envs.simulation.camera import view_sphere_pose
+from two_view_pose.envs.simulation.placement import PlacedObject
+from two_view_pose.envs.simulation.renderer import SceneRenderer
+from two_view_pose.envs.simulation.scene import Scene
+from two_view_pose.pose_estimator.networks.inference import Inference
 
 from .config import BenchConfig
 from .network import volume_run
@@ -28,7 +28,7 @@ BODIES = (2, 5, 10, 20, 30, 40, 60)
 BATCHES = (1, 2, 4, 8, 16, 32)
 CELLS = (16, 24, 32, 40, 48, 60)
 _SPACING = 0.13
-"""Between neighbouring bodies on the table, metres."""
+"""Between neighboring bodies on the table, meters."""
 
 _PANELS = (
     ("An image of 640x480", "bodies", "bodies in view", BODIES, ("RGB", "RGB, depth and masks")),

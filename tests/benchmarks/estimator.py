@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
-from two_view_pose.pose_estimator.geometry import View
+from two_view_pose.core.geometry import View
 
 from .config import BenchConfig
 from .reference_network import PVNet, resnet18

@@ -9,9 +9,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from two_view_pose.envs.checksums import SUMS_FILE
-from two_view_pose.envs.generate import GenerateConfig, generate
-from two_view_pose.pose_estimator.bop_writer import scene_folder
+from two_view_pose.envs.datagen.checksums import SUMS_FILE
+from two_view_pose.envs.datagen.generate import GenerateConfig, generate
+from two_view_pose.pose_estimator.bop.writer import scene_folder
 
 from .config import BenchConfig
 from .stopwatch import Record

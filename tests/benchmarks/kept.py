@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import two_view_pose
-from two_view_pose.pose_estimator.processor import describe_processor, number_format
-from two_view_pose.pose_estimator.results import read_results, versions, write_results
+from two_view_pose.core.processor import describe_processor, number_format
+from two_view_pose.core.results import read_results, versions, write_results
 
 from .config import GROUPS
 from .stopwatch import Record

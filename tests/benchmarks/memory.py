@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from tqdm import tqdm
-from two_view_pose.envs.worker_pool import memory_in_use
+from two_view_pose.core.worker_pool import memory_in_use
 
 from .pixels import SIDE, pixels_env
 from .stopwatch import Record

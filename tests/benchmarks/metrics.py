@@ -9,9 +9,9 @@ import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from two_view_pose import assets
-from two_view_pose.pose_estimator import metrics
-from two_view_pose.pose_estimator.geometry import make_transform, transform
-from two_view_pose.pose_estimator.nearest_points import NearestPoints
+from two_view_pose.core.geometry import make_transform, transform
+from two_view_pose.pose_estimator.evaluation import metrics
+from two_view_pose.pose_estimator.evaluation.nearest_points import NearestPoints
 
 from .config import BenchConfig
 from .stopwatch import Record, ratio
@@ -24,7 +24,7 @@ PosePair = tuple[np.ndarray, np.ndarray]
 
 
 def add_s_of_bop(T_est: np.ndarray, T_true: np.ndarray, points: np.ndarray) -> float:
-    """ADD-S in metres as ``bop_toolkit_lib.pose_error.adi`` computes it."""
+    """ADD-S in meters as ``bop_toolkit_lib.pose_error.adi`` computes it."""
     tree = cKDTree(transform(T_est, points))
     distances, _ = tree.query(transform(T_true, points), k=1)
     return float(distances.mean())
@@ -35,7 +35,7 @@ def pose_pairs(rng: np.random.Generator, diameter: float, count: int) -> list[Po
 
     Args:
         rng: where they are drawn from.
-        diameter: of the object, metres.
+        diameter: of the object, meters.
         count: how many; their errors grow evenly in their logarithm, from 1 to 60 degrees with
             0.01 to 0.5 diameters.
 
@@ -64,7 +64,7 @@ def measure(config: BenchConfig, count: int = POINTS) -> Iterator[Record]:
         count: points on each surface, which is sampled anew.
 
     Yields:
-        A record of the results file, seconds for one pose; ``largest_difference`` is in metres.
+        A record of the results file, seconds for one pose; ``largest_difference`` is in meters.
     """
     rng = np.random.default_rng(config.seed)
     cases = []

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
-from two_view_pose.pose_estimator.device import has_fast_bfloat16
-from two_view_pose.pose_estimator.features import FeatureConfig
-from two_view_pose.pose_estimator.fused import fused
-from two_view_pose.pose_estimator.processor import number_format
-from two_view_pose.pose_estimator.volume import PRESETS, Volume, VolumeNet, to_conv_layout
+from two_view_pose.core.device import has_fast_bfloat16
+from two_view_pose.core.processor import number_format
+from two_view_pose.pose_estimator.networks.features import FeatureConfig
+from two_view_pose.pose_estimator.networks.fused import fused
+from two_view_pose.pose_estimator.networks.volume import PRESETS, Volume, VolumeNet, to_conv_layout
 
 from .config import BenchConfig
 from .stopwatch import WARM_UP, Record, seconds

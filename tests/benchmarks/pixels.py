@@ -24,7 +24,7 @@ from .stopwatch import WARM_UP, Record, make_record, missing, seconds
 
 SIDE = 84
 CAMERA = {"distance": 1.0, "azimuth": 90.0, "elevation": -45.0}
-"""Of Gymnasium's free camera, from the middle of the table: metres and degrees. It sees about as
+"""Of Gymnasium's free camera, from the middle of the table: meters and degrees. It sees about as
 much of the scene as ours does."""
 
 

@@ -1,4 +1,4 @@
-"""An image of ours with depth and masks beside pyrender's colour, depth and segmentation.
+"""An image of ours with depth and masks beside pyrender's color, depth and segmentation.
 
 Both sides draw the thirteen objects with the same triangles, textures, poses and camera, in one
 process and in turn. Ours also draws the room, the table and shadows; pyrender has one light and no
@@ -16,13 +16,13 @@ import numpy as np
 import trimesh
 from PIL import Image
 from two_view_pose import assets
-from two_view_pose.envs.annotation import annotate
-from two_view_pose.envs.camera import opencv_to_opengl
-from two_view_pose.envs.gl import backend
-from two_view_pose.envs.renderer import Frame, SceneRenderer
-from two_view_pose.envs.scene import Scene, SceneConfig
-from two_view_pose.envs.world import FAR, NEAR
-from two_view_pose.pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K, invert
+from two_view_pose.core.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K, invert
+from two_view_pose.envs.simulation.annotation import annotate
+from two_view_pose.envs.simulation.camera import opencv_to_opengl
+from two_view_pose.envs.simulation.gl import backend
+from two_view_pose.envs.simulation.renderer import Frame, SceneRenderer
+from two_view_pose.envs.simulation.scene import Scene, SceneConfig
+from two_view_pose.envs.simulation.world import FAR, NEAR
 
 from .config import BenchConfig
 from .own_process import each_from_own_process
@@ -62,7 +62,7 @@ def pyrender_scene(scene: Scene, T_cam_world: np.ndarray) -> Callable[[], tuple[
         T_cam_world: world to OpenCV camera, (4, 4).
 
     Returns:
-        A function that gives RGB (H, W, 3) uint8, depth (H, W) float32 in metres, and instances
+        A function that gives RGB (H, W, 3) uint8, depth (H, W) float32 in meters, and instances
         (H, W) int32: the index of the object in ``scene.present_objects()``, or -1.
     """
     import pyrender
@@ -87,7 +87,7 @@ def pyrender_scene(scene: Scene, T_cam_world: np.ndarray) -> Callable[[], tuple[
         node = drawn.add(pyrender.Mesh([primitive]), pose=scene.state.T_world_obj[name])
         colors[node] = (index + 1, 0, 0)
     K = LINEMOD_K
-    camera = pyrender.IntrinsicsCamera(  # its pixels' corners are whole numbers, not their centres
+    camera = pyrender.IntrinsicsCamera(  # its pixels' corners are whole numbers, not their centers
         K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5, znear=NEAR, zfar=FAR
     )
     T_world_camera = invert(opencv_to_opengl(T_cam_world))
@@ -130,7 +130,7 @@ def compare(config: BenchConfig) -> Iterator[Record]:
         renderer.close()
         yield missing("pyrender", f"{type(error).__name__}: {error}", INSTALL_HINT)
         return
-    against = "pyrender: colour, depth, segmentation"
+    against = "pyrender: color, depth, segmentation"
     work = "RGB, depth and masks of 13 objects, 640x480"
     agreed = {"agreement_of_masks": agreement(instances, their_instances)}
     casts_shadow = scene.world.model.light_castshadow.copy()

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from PIL import Image
 from two_view_pose import assets
-from two_view_pose.envs.renderer import SceneRenderer
-from two_view_pose.envs.scene import Scene
-from two_view_pose.pose_estimator.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K
+from two_view_pose.core.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K
+from two_view_pose.envs.simulation.renderer import SceneRenderer
+from two_view_pose.envs.simulation.scene import Scene
 
 from .config import BenchConfig
 from .stopwatch import Record, ratio
@@ -65,7 +65,7 @@ def default_renderer(
         (H, W, 2).
     """
     import mujoco
-    from two_view_pose.envs.graphics import aim
+    from two_view_pose.envs.simulation.graphics import aim
 
     height, width = LINEMOD_IMAGE_SIZE
     renderer = mujoco.Renderer(default_model(scene, height, width), height, width)

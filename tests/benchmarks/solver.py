@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
-from two_view_pose.pose_estimator.geometry import LINEMOD_K, project
-from two_view_pose.pose_estimator.solvers import SOLVER_INLIER, solve
+from two_view_pose.core.geometry import LINEMOD_K, project
+from two_view_pose.pose_estimator.solvers.rigid import SOLVER_INLIER, solve
 
 from .config import BenchConfig
 from .own_process import each_from_own_process
@@ -33,10 +33,10 @@ class KeypointProblems:
     """Poses to be found from keypoints.
 
     Attributes:
-        model_points: (9, 3), object's frame, metres.
-        diameter: metres.
-        true: the keypoints in the camera's frame, (B, 9, 3), metres.
-        predicted: what was found of them, (B, 9, 3), metres.
+        model_points: (9, 3), object's frame, meters.
+        diameter: meters.
+        true: the keypoints in the camera's frame, (B, 9, 3), meters.
+        predicted: what was found of them, (B, 9, 3), meters.
     """
 
     model_points: np.ndarray
@@ -48,12 +48,12 @@ class KeypointProblems:
 def draw_problems(
     rng: np.random.Generator, count: int, *, deviation: float = 0.005, outliers: int = 0
 ) -> KeypointProblems:
-    """Draws poses about a metre away, of an object of LineMOD's size.
+    """Draws poses about a meter away, of an object of LineMOD's size.
 
     Args:
         rng: where everything is drawn from.
         count: how many poses.
-        deviation: standard deviation of the keypoints in metres, along each axis.
+        deviation: standard deviation of the keypoints in meters, along each axis.
         outliers: how many of the nine keypoints lie anywhere within two diameters instead.
     """
     diameter = 0.2

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from two_view_pose.pose_estimator.cores import available_cores
-from two_view_pose.pose_estimator.results import check_record
+from two_view_pose.core.cpu_cores import available_cores
+from two_view_pose.core.results import check_record
 
 from . import busy, table
 

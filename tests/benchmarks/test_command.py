@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from two_view_pose.pose_estimator import results
+from two_view_pose.core import results
 
 from . import command, stopwatch
 from .config import BenchConfig

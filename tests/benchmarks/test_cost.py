@@ -2,8 +2,8 @@
 
 import numpy as np
 from PIL import Image
-from two_view_pose.envs.renderer import SceneRenderer
-from two_view_pose.pose_estimator.results import check_record
+from two_view_pose.core.results import check_record
+from two_view_pose.envs.simulation.renderer import SceneRenderer
 
 from . import cost
 

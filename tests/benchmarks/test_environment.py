@@ -6,9 +6,9 @@ import os
 import gymnasium as gym
 import numpy as np
 import pytest
-from two_view_pose.envs.generate import GenerateConfig
-from two_view_pose.pose_estimator.bop_writer import scene_folder
-from two_view_pose.pose_estimator.results import check_record
+from two_view_pose.core.results import check_record
+from two_view_pose.envs.datagen.generate import GenerateConfig
+from two_view_pose.pose_estimator.bop.writer import scene_folder
 
 from . import generator, import_time, memory, pixels, pyrender, rendering, table, vector
 from .config import BenchConfig

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from two_view_pose.pose_estimator.results import read_results
+from two_view_pose.core.results import read_results
 
 from . import command, stopwatch
 from .config import BenchConfig

@@ -3,9 +3,9 @@
 import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
-from two_view_pose.pose_estimator.features import FeatureConfig
-from two_view_pose.pose_estimator.results import check_record
-from two_view_pose.pose_estimator.volume import PRESETS, Volume
+from two_view_pose.core.results import check_record
+from two_view_pose.pose_estimator.networks.features import FeatureConfig
+from two_view_pose.pose_estimator.networks.volume import PRESETS, Volume
 
 from .config import BenchConfig
 from .metrics import measure

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from two_view_pose.pose_estimator.results import check_record
+from two_view_pose.core.results import check_record
 
 from .solver import (
     affine_poses,

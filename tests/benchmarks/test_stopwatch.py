@@ -2,7 +2,7 @@
 
 import time
 
-from two_view_pose.pose_estimator.results import check_record
+from two_view_pose.core.results import check_record
 
 from . import stopwatch
 

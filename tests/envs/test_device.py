@@ -5,7 +5,7 @@ from __future__ import annotations
 import gymnasium as gym
 import pytest
 import torch
-from estimators import PickyEstimator
+from helpers.estimators import PickyEstimator
 from two_view_pose import pose_estimator
 from two_view_pose.assets import OBJECT_NAMES
 from two_view_pose.envs import protocol

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from estimators import ConstantEstimator, PickyEstimator
 from gymnasium.error import ResetNeeded
+from helpers.estimators import ConstantEstimator, PickyEstimator
 from two_view_pose.envs.two_view_pose import TwoViewPoseDiscreteEnv
 
 
@@ -48,7 +48,7 @@ def test_bad_candidate_views(make, views):
 
 def test_an_episode_has_one_step(make):
     env = make()
-    for call in (lambda: env.step(np.zeros(3)), lambda: env.sphere_centre, lambda: env.figure()):
+    for call in (lambda: env.step(np.zeros(3)), lambda: env.sphere_center, lambda: env.figure()):
         with pytest.raises(ResetNeeded, match="reset"):
             call()
     env.reset(seed=0)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
-from two_view_pose.envs.carrier import camera_centre
-from two_view_pose.envs.mirror import Mirror
-from two_view_pose.envs.view_bank import ViewBank, write_bank
+from two_view_pose.envs.simulation.carrier import camera_center
+from two_view_pose.envs.view_banks.bank import ViewBank, write_bank
+from two_view_pose.envs.view_banks.mirror import Mirror
 
 Make = Callable[..., ViewBank]
 REPLAY = "two_view_pose:TwoViewPoseReplay-v0"
@@ -58,7 +58,7 @@ def test_a_box_action_takes_the_nearest_view(make_bank: Make) -> None:
         box.reset(options={"scene": scene})
         sphere = box.unwrapped
         for slot in range(24):
-            offset = camera_centre(bank.second_T_cam_world[scene, slot]) - bank.centre[scene]
+            offset = camera_center(bank.second_T_cam_world[scene, slot]) - bank.center[scene]
             x, y, z = offset
             distance = np.linalg.norm(offset)
             turned = np.arctan2(y, x) - sphere.reference_position.azimuth

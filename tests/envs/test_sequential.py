@@ -7,9 +7,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from estimators import TableEstimator
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
+from helpers.estimators import TableEstimator
 
 SMALL = {"objects": ["duck"], "resolution": (120, 160), "image_size": 36}
 SEQUENTIAL = "two_view_pose:TwoViewPoseSequential-v0"

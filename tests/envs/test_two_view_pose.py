@@ -10,18 +10,18 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from estimators import (
+from helpers.estimators import (
     BatchedEstimator,
     ConstantEstimator,
     TableEstimator,
     pose,
     relative,
 )
-from two_view_pose.envs.carrier import PoseNoise, camera_centre
+from helpers.workers import memory_of_episodes
+from two_view_pose.core.geometry import invert, transform
 from two_view_pose.envs.observation import CROP_SCALE
+from two_view_pose.envs.simulation.carrier import PoseNoise, camera_center
 from two_view_pose.envs.two_view_pose import CANDIDATE_VIEWS, TwoViewPoseDiscreteEnv
-from two_view_pose.pose_estimator.geometry import invert, transform
-from workers import memory_of_episodes
 
 
 def same(first: Any, second: Any) -> bool:
@@ -130,8 +130,8 @@ def test_reward(make, objects, weight):
     model = objects[info["object"]]
     moved = transform(T_true @ T_off, model.points) - transform(T_true, model.points)
     add = np.sqrt((moved**2).sum(axis=1)).mean()
-    centres = [camera_centre(view.T_cam_world) for view in env.views]
-    travel = np.sqrt(((centres[1] - centres[0]) ** 2).sum())
+    centers = [camera_center(view.T_cam_world) for view in env.views]
+    travel = np.sqrt(((centers[1] - centers[0]) ** 2).sum())
     assert info["travel"] == pytest.approx(travel)
     assert info["ground_truth"]["add_second"] == pytest.approx(add)
     assert info["ground_truth"]["success"] is bool(add < 0.1 * model.diameter)
@@ -161,8 +161,8 @@ def test_action_is_a_place_on_the_sphere_around_the_estimate(make):
     env = make(estimator=TableEstimator())
     env.reset(seed=4)
     middle = np.array([0.0, 0.0, 0.03])
-    np.testing.assert_allclose(env.sphere_centre, middle, atol=1e-12)
-    reference = camera_centre(env.views[0].T_cam_world) - middle
+    np.testing.assert_allclose(env.sphere_center, middle, atol=1e-12)
+    reference = camera_center(env.views[0].T_cam_world) - middle
     for action, offset, elevation, distance in (
         ((-1, -1, -1), -90, 7, 0.6),
         ((1, 1, 1), 90, 82, 1.4),
@@ -170,7 +170,7 @@ def test_action_is_a_place_on_the_sphere_around_the_estimate(make):
         ((0.5, -0.2, 0.25), 45, 37, 1.1),
     ):
         T_cam_world = env.camera_pose(np.array(action, dtype=np.float32))
-        x, y, z = camera_centre(T_cam_world) - middle
+        x, y, z = camera_center(T_cam_world) - middle
         assert np.linalg.norm((x, y, z)) == pytest.approx(distance, abs=1e-6)
         assert np.rad2deg(np.arcsin(z / distance)) == pytest.approx(elevation, abs=1e-4)
         turned = np.rad2deg(np.arctan2(y, x) - np.arctan2(reference[1], reference[0]))
@@ -184,14 +184,14 @@ def test_a_wild_estimate_keeps_the_camera_above_the_table(make):
     for translation in ((0, 0, -3.0), (8, 8, 8), (0, 50, 1)):
         env = make(estimator=ConstantEstimator(pose((0, 0, 0), translation)))
         env.reset(seed=1)
-        assert camera_centre(env.camera_pose(np.array([1, -1, -1])))[2] > 0.05
+        assert camera_center(env.camera_pose(np.array([1, -1, -1])))[2] > 0.05
 
 
 def test_camera_observation(make):
     env = make(estimator=TableEstimator())
     place = {"distance": 0.9, "azimuth": 0.7, "elevation": 0.6}
     observation, info = env.reset(seed=0, options={"reference_camera": place})
-    x, y, z = camera_centre(info["T_cam_world"])
+    x, y, z = camera_center(info["T_cam_world"])
     np.testing.assert_allclose(
         (np.hypot(np.hypot(x, y), z), np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))),
         tuple(place.values()),
@@ -211,7 +211,7 @@ def test_crop_shows_the_detection_and_what_is_around_it(make):
     env = make(estimator=estimator, image_size=60)  # the side of the crop: one to one
     observation, _ = env.reset(seed=0)
     picture = env.views[0].image
-    half = 0.5 * (picture[30:90, 50:110].astype(float) + picture[31:91, 51:111])  # centre 80, 60
+    half = 0.5 * (picture[30:90, 50:110].astype(float) + picture[31:91, 51:111])  # center 80, 60
     assert np.abs(observation["image"].astype(float) - half).mean() < 6
     assert env.observation_space["image"].shape == (60, 60, 3)
 
@@ -258,9 +258,9 @@ def test_candidate_views(make):
     assert env.action_space == gym.spaces.Discrete(24) and len(CANDIDATE_VIEWS) == 24
     env.reset(seed=1)
     middle = np.array([0.0, 0.0, 0.03])
-    reference = camera_centre(env.views[0].T_cam_world) - middle
+    reference = camera_center(env.views[0].T_cam_world) - middle
     for i in (0, np.int64(10), np.array(23)):
-        x, y, z = camera_centre(env.camera_pose(i)) - middle
+        x, y, z = camera_center(env.camera_pose(i)) - middle
         offset, elevation = CANDIDATE_VIEWS[int(i)]
         radius = np.clip(np.linalg.norm(reference), 0.6, 1.4)
         assert np.linalg.norm((x, y, z)) == pytest.approx(radius)

@@ -12,9 +12,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import two_view_pose  # noqa: F401  (registers the ids)
-from estimators import ConstantEstimator
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from helpers.estimators import ConstantEstimator
 from PIL import Image
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 from two_view_pose.envs.window import Window

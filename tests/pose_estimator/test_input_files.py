@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
-from two_view_pose.pose_estimator.input_files import read_image, read_image_size
+from two_view_pose.core.images import read_image, read_image_size
 
 RGB = np.random.default_rng(0).integers(0, 255, (40, 60, 3), dtype=np.uint8)
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 from two_view_pose import assets
-from two_view_pose.pose_estimator.geometry import make_transform, transform
+from two_view_pose.core.geometry import make_transform, transform
 from two_view_pose.pose_estimator.symmetry import canonical_pose, keypoint_permutations
 
 

@@ -1,4 +1,4 @@
-"""The modelling is no part of the wheel: where that is under test, it comes from the checkout."""
+"""The modeling is no part of the wheel: where that is under test, it comes from the checkout."""
 
 import sys
 from importlib.util import find_spec, module_from_spec, spec_from_file_location

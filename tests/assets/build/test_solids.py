@@ -14,13 +14,13 @@ def points() -> np.ndarray:
 
 
 def test_box_distance_is_the_distance_to_the_nearest_point_of_the_box(points: np.ndarray) -> None:
-    centre, size = np.array([0.3, -0.2, 0.5]), np.array([2.0, 1.0, 1.5])
-    distance = solids.box(centre, size)(points)
-    nearest = np.clip(points, centre - size / 2, centre + size / 2)
+    center, size = np.array([0.3, -0.2, 0.5]), np.array([2.0, 1.0, 1.5])
+    distance = solids.box(center, size)(points)
+    nearest = np.clip(points, center - size / 2, center + size / 2)
     outside = (nearest != points).any(axis=1)
     expected = np.linalg.norm(points - nearest, axis=1)
     np.testing.assert_allclose(distance[outside], expected[outside], atol=1e-12)
-    to_wall = (size / 2 - np.abs(points - centre)).min(axis=1)
+    to_wall = (size / 2 - np.abs(points - center)).min(axis=1)
     np.testing.assert_allclose(distance[~outside], -to_wall[~outside], atol=1e-12)
     assert 0 < outside.sum() < len(points)
 

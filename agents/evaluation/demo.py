@@ -1,0 +1,132 @@
+"""The command ``demo``: one episode from end to end, as numbers and as an image."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Literal
+
+import gymnasium as gym
+import numpy as np
+from PIL import Image
+
+from ...core.device import check_device
+from ...core.errors import InputError
+from ...core.files import write_atomically
+from ...core.results import write_results
+from ...envs.simulation.scene_kinds import SceneKindName
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+@dataclass(frozen=True)
+class DemoConfig:
+    """One scene: a first view, a pose, a second view that a policy chooses, a better pose."""
+
+    object: str | None = None
+    """Name of the object to look for; by default the seed draws one."""
+    scene: SceneKindName = "occlusion"
+    """Light clutter, heavy clutter, an object between tall things, or in a heap."""
+    policy: str = "greedy"
+    """Who chooses the second view: greedy (a trained agent that ships), random, fixed (30 degrees
+    to the side), above, max-baseline (farthest in angle), uncertainty, oracle (knows the truth),
+    or a file that train-agent wrote."""
+    seed: int = 0
+    """Same seed, same scene."""
+    env: Literal["TwoViewPose-v0", "TwoViewPoseDiscrete-v0"] = "TwoViewPose-v0"
+    """Any view on the sphere, or one of a fixed set."""
+    device: str = "auto"
+    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
+    `cuda:N` or `mps`."""
+    out: Path = Path("demo.png")
+    """File for the image."""
+    json: Path | None = None
+    """File for machine-readable results."""
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise InputError(f"seed must be at least 0, got {self.seed}")
+        if self.policy == "stay":
+            raise InputError("policy stay takes no second view, and that is what demo is about")
+
+
+def demo(config: DemoConfig) -> None:
+    """Plays one episode, prints the error of the pose before and after, and writes the image.
+
+    Raises:
+        InputError: if an option is wrong, there is no such device, or the weights are missing.
+        GraphicsUnavailable: if there is no OpenGL to draw with.
+    """
+    check_device(config.device)
+    started = perf_counter()
+    from ..policies.registry import make_policy
+
+    env = gym.make(
+        f"two_view_pose:{config.env}",
+        scene=config.scene,
+        device=config.device,
+        render_mode="rgb_array",
+    )
+    try:
+        policy = make_policy(config.policy, env, config.device)
+        options = {} if config.object is None else {"object": config.object}
+        observation, _ = env.reset(seed=config.seed, options=options)
+        policy.reset(np.random.default_rng(config.seed))
+        _, _, _, _, info = env.step(policy.act(observation))
+        frame: Any = env.render()
+    finally:
+        env.close()
+    image = io.BytesIO()
+    Image.fromarray(frame).save(image, format="png")
+    write_atomically(config.out, image.getvalue())
+    _print(config, info, perf_counter() - started)
+    if config.json is not None:
+        command = f"demo --scene {config.scene} --policy {config.policy} --seed {config.seed}"
+        write_results(config.json, make_records(config, info), command=command, seed=config.seed)
+
+
+def make_records(config: DemoConfig, info: dict[str, Any]) -> list[dict[str, Any]]:
+    """The numbers of the results file; ``views`` says how many views the pose is from."""
+    tags = {"object": info["object"], "scene": config.scene, "policy": config.policy}
+    errors = (info["ground_truth"]["add_first"], info["ground_truth"]["add_second"])
+    ratios = [error / info["diameter"] for error in errors]
+    return [
+        *(
+            {"metric": "add_over_diameter", "value": ratio, "unit": "1", "views": views, **tags}
+            for views, ratio in enumerate(ratios, start=1)
+        ),
+        {"metric": "travel", "value": info["travel"], "unit": "m", **tags},
+    ]
+
+
+def make_table(info: dict[str, Any]) -> Table:
+    """The pose's error before and after."""
+    from rich.table import Table
+
+    truth = info["ground_truth"]
+    table = Table()
+    for title in ("pose from", "ADD(-S)", "of the diameter", "below a tenth"):
+        table.add_column(title, justify="left" if title == "pose from" else "right")
+    for name, key in (("the first view", "add_first"), ("both views", "add_second")):
+        ratio = truth[key] / info["diameter"]
+        right = "yes" if ratio < 0.1 else "no"
+        table.add_row(name, f"{1e3 * truth[key]:.1f} mm", f"{100 * ratio:.1f} %", right)
+    return table
+
+
+def _print(config: DemoConfig, info: dict[str, Any], seconds: float) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    visible = 100 * info["ground_truth"]["visibility"]
+    console.print(
+        f"object       {info['object']}, {1e3 * info['diameter']:.0f} mm in diameter, "
+        f"{visible:.0f} % of it visible in the first view\n"
+        f"second view  {info['baseline_deg']:.0f} degrees from the first, chosen by "
+        f"{config.policy}; it moved {info['travel']:.2f} m"
+    )
+    console.print(make_table(info))
+    console.print(f"image        {config.out}   ({seconds:.1f} s in all)")

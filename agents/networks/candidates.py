@@ -1,0 +1,130 @@
+"""For reinforcement learners: a feature extractor that has learned to see occluders.
+
+It holds one of the networks that ``--algo greedy`` trains and gives a learner what this predicts
+for each of the 24 candidate views: error and visibility. Where these views are is worked out from
+the observation alone, so that a trained policy needs nothing else.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import Tensor, nn
+
+from ...core.errors import InputError
+from ...envs.two_view_pose import CANDIDATE_VIEWS
+from .checkpoint import check_tensors, read_agent, subset
+from .predictor import ErrorPredictor, vector_fields
+
+
+class CandidateExtractor(BaseFeaturesExtractor):
+    """Predicted errors and visibilities of the candidates, and the estimated state.
+
+    Args:
+        observation_space: a Dict with an ``image`` of channels first.
+        features_dim: width of the predictor, see :class:`ErrorPredictor`.
+        width, dropout: of the predictor.
+        frozen: leave the predictor as it was before; only the learner's own layers learn.
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Dict,
+        features_dim: int = 128,
+        width: int = 12,
+        dropout: float = 0.0,
+        frozen: bool = True,
+    ) -> None:
+        self._vectors, state = vector_fields(observation_space)
+        super().__init__(observation_space, 2 * len(CANDIDATE_VIEWS) + state)
+        objects = int(observation_space["object"].shape[0])  # type: ignore[index]
+        self.predictor = ErrorPredictor(
+            observation_space, [1.0] * objects, features_dim, width, dropout
+        )
+        self._frozen = frozen
+        if frozen:
+            self.predictor.requires_grad_(False)
+
+    def train(self, mode: bool = True) -> CandidateExtractor:
+        """A frozen predictor stays as it is: no dropout."""
+        super().train(mode)
+        if self._frozen:
+            self.predictor.eval()
+        return self
+
+    def forward(self, observations: dict[str, Tensor]) -> Tensor:
+        """Features (B, 48 + state); the image is (B, 3, S, S), 0 to 1."""
+        views = candidate_features(observations["camera"], observations["translation"])
+        error, visible = self.predictor(observations, views)
+        state = [observations[key] for key in self._vectors]
+        return torch.cat([error, visible, *state], dim=1)
+
+
+def load_pretrained_extractor(policy: nn.Module, path: Path) -> None:
+    """Loads the first network of a greedy agent into all extractors of an untrained policy.
+
+    Raises:
+        InputError: if the policy has no such extractor, or the file is no such agent.
+    """
+    _, tensors = read_agent(path, prefix="policy/networks.0.")
+    weights = subset(tensors, "policy/networks.0.")
+    extractors = [m for m in policy.modules() if isinstance(m, CandidateExtractor)]
+    if not extractors or not weights:
+        raise InputError(
+            f"pretrained_extractor needs an agent of --algo greedy, got {path}, and "
+            "hyper-parameters with features_extractor_class: CandidateExtractor"
+        )
+    for extractor in extractors:
+        check_tensors(weights, extractor.predictor.state_dict(), f"agent file {path}")
+        extractor.predictor.load_state_dict(weights)
+
+
+def candidate_features(camera: Tensor, translation: Tensor) -> Tensor:
+    """``view_features`` of the 24 candidates, from an observation of the reference view.
+
+    Args:
+        camera: (B, 7) the observation's.
+        translation: (B, 3) the object in the reference camera, meters.
+
+    Returns:
+        (B, 24, 11).
+    """
+    sin_e, roll = camera[:, 1], torch.atan2(camera[:, 5], camera[:, 6])
+    elevation = torch.atan2(camera[:, 1], camera[:, 2])
+    back = -nn.functional.normalize(translation, dim=1)  # from the object to the camera
+    # Up in the camera's frame is (-s sin roll, -s cos roll, c); its part along `back` is sin_e.
+    p = -(back[:, 0] * torch.sin(roll) + back[:, 1] * torch.cos(roll))
+    g = back[:, 2]
+    phase = torch.atan2(g, p)
+    apart = torch.arccos((sin_e / torch.hypot(p, g).clamp(min=1e-6)).clamp(-1, 1))
+    one, other = phase + apart, phase - apart
+    tilt = torch.where(_gap(one, -elevation) < _gap(other, -elevation), one, other)
+    s, c = torch.cos(tilt), torch.sin(tilt)
+    up = torch.stack([-s * torch.sin(roll), -s * torch.cos(roll), c], dim=1)
+    ahead = nn.functional.normalize(back - (back * up).sum(1, keepdim=True) * up, dim=1)
+    side = torch.linalg.cross(up, ahead)
+    azimuths, elevations = torch.tensor(
+        np.deg2rad(CANDIDATE_VIEWS), dtype=camera.dtype, device=camera.device
+    ).unbind(1)
+    x = torch.cos(elevations) * torch.cos(azimuths)
+    y = torch.cos(elevations) * torch.sin(azimuths)
+    z = torch.sin(elevations)
+    seen = x[:, None] * ahead[:, None] + y[:, None] * side[:, None] + z[:, None] * up[:, None]
+    cosine = torch.cos(elevation)[:, None] * x + torch.sin(elevation)[:, None] * z
+    angle = torch.arccos(cosine.clamp(-1, 1))
+
+    parts = [
+        *(x, y, z, angle, torch.sin(angle), torch.sin(2 * azimuths), torch.cos(2 * azimuths)),
+        elevations - elevation[:, None],
+        *seen.unbind(-1),
+    ]
+    return torch.stack([part.expand_as(angle) for part in parts], dim=-1)
+
+
+def _gap(a: Tensor, b: Tensor) -> Tensor:
+    """How far apart two angles are, radians."""
+    return torch.abs(torch.remainder(a - b + torch.pi, 2 * torch.pi) - torch.pi)

@@ -1,0 +1,35 @@
+"""``oracle``: tries every view and takes the best. It knows the truth: an upper bound."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import gymnasium as gym
+import numpy as np
+
+from ...core.errors import InputError
+from .baselines import ViewSpherePolicy
+from .view_sphere import Action, view_actions
+
+
+class OraclePolicy(ViewSpherePolicy):
+    """Takes the candidate of the highest reward, which it learns from ``simulate_actions``.
+
+    Args:
+        env: an environment that has ``simulate_actions``.
+
+    Raises:
+        InputError: if it cannot.
+    """
+
+    def __init__(self, env: gym.Env) -> None:
+        super().__init__(env)
+        if not hasattr(self._env, "simulate_actions"):
+            raise InputError(f"oracle needs an env with simulate_actions(), got {self._env}")
+
+    def act(self, observation: Mapping[str, np.ndarray]) -> Action:
+        """The best candidate by the true error; in a Box those of ``TwoViewPoseDiscrete-v0``."""
+        actions = view_actions(self._env)
+        outputs = self._env.simulate_actions(actions)
+        errors = [info["ground_truth"]["add_second"] for *_, info in outputs]
+        return actions[int(np.argmin(errors))]

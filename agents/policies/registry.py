@@ -1,0 +1,73 @@
+"""Policies by name or by file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import gymnasium as gym
+
+from ... import assets
+from ...core.errors import InputError
+from .baselines import AbovePolicy, FixedPolicy, MaxBaselinePolicy, Policy, RandomPolicy, StayPolicy
+from .oracle import OraclePolicy
+from .uncertainty import UncertaintyPolicy
+
+BASELINES: dict[str, Callable[[gym.Env], Policy]] = {
+    "stay": StayPolicy,
+    "random": RandomPolicy,
+    "fixed": FixedPolicy,
+    "above": AbovePolicy,
+    "max-baseline": MaxBaselinePolicy,
+    "uncertainty": UncertaintyPolicy,
+    "oracle": OraclePolicy,
+}
+
+SHIPPED = Path(assets.__file__).parent / "agents"
+
+
+def shipped_agents() -> dict[str, Path]:
+    """The trained agents that ship, by name."""
+    return {path.stem: path for path in sorted(SHIPPED.glob("*.safetensors"))}
+
+
+def agent_file(name_or_path: str | os.PathLike[str]) -> Path | None:
+    """The file of a trained policy; None for the name of a baseline.
+
+    Raises:
+        InputError: if it is neither a name nor a file.
+    """
+    name = os.fspath(name_or_path)
+    if name in BASELINES:
+        return None
+    shipped = shipped_agents()
+    if name in shipped:
+        return shipped[name]
+    if not os.path.isfile(name):
+        raise InputError(
+            f"policy must be one of {', '.join([*BASELINES, *shipped])}, or a file that "
+            f"train-agent wrote; got {name!r}, which is no file"
+        )
+    return Path(name)
+
+
+def make_policy(name_or_path: str | os.PathLike[str], env: gym.Env, device: str = "auto") -> Policy:
+    """Makes a policy that acts in ``env``.
+
+    Args:
+        name_or_path: the name of a baseline or of a trained agent that ships, or a file that
+            ``train-agent`` wrote.
+        env: the environment; most baselines ask it about the running episode.
+        device: where the networks of a trained one run, see ``load_policy``.
+
+    Raises:
+        InputError: if it is neither, or the file is damaged or of other spaces than ``env``'s, or
+            there is no such device for its networks.
+    """
+    path = agent_file(name_or_path)
+    if path is None:
+        return BASELINES[os.fspath(name_or_path)](env)
+    from .trained import load_policy
+
+    return load_policy(path, env, device)

@@ -1,0 +1,123 @@
+"""A trained agent, rebuilt from its file: data in, policy out, nothing executed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.preprocessing import is_image_space
+from stable_baselines3.common.vec_env import VecTransposeImage
+
+from ...core.device import resolve_device
+from ...core.errors import InputError
+from ..networks.algorithms import (
+    ALGORITHMS,
+    GREEDY,
+    POLICY_CLASS,
+    check_hyperparameters,
+    policy_kwargs,
+)
+from ..networks.checkpoint import AgentHeader, check_tensors, describe_space, read_agent, subset
+from .baselines import Policy
+from .greedy import GreedyPolicy, load_agent
+from .view_sphere import Action
+
+
+class TrainedPolicy(Policy):
+    """Acts with a network that SB3 trained, deterministically."""
+
+    def __init__(self, policy: BasePolicy) -> None:
+        self._policy = policy
+
+    def act(self, observation: Mapping[str, np.ndarray]) -> Action:
+        """The action for one observation of the environment (not batched)."""
+        action, _ = self._policy.predict(dict(observation), deterministic=True)
+        return int(action) if isinstance(self._policy.action_space, spaces.Discrete) else action
+
+
+def load_policy(path: str | os.PathLike[str], env: gym.Env, device: str = "auto") -> Policy:
+    """Loads what ``train-agent`` wrote, a ``policy.safetensors`` or a ``checkpoint.safetensors``.
+
+    Args:
+        path: the file.
+        env: the environment it will act in.
+        device: where its networks run: ``auto`` (a GPU where there is one), ``cpu``, ``cuda``,
+            ``cuda:N`` or ``mps``.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        InputError: if it is not an agent file, is damaged, or was trained on other observations
+            or actions than those of ``env``, or there is no such device.
+    """
+    place = resolve_device(device)
+    header, tensors = read_agent(path, prefix="policy/")
+    check_hyperparameters(header.algo, header.hyperparameters)
+    _check_spaces(header, env, path)
+    weights = subset(tensors, "policy/")
+    if header.algo == GREEDY:
+        known = {key: channels_first(env)[key] for key in header.observation_space}
+        agent = load_agent(header, spaces.Dict(known), weights, f"agent file {path}", place)
+        return GreedyPolicy(agent, header, env)
+    policy = _build(header, env)
+    check_tensors(weights, policy.state_dict(), f"agent file {path}")
+    policy.load_state_dict(weights)
+    return TrainedPolicy(policy.to(place))
+
+
+def channels_first(env: gym.Env) -> spaces.Dict:
+    """The observation space as SB3 trains on it: images with channels first.
+
+    Raises:
+        InputError: if it is no Dict.
+    """
+    space = env.observation_space
+    if not isinstance(space, spaces.Dict):
+        raise InputError(f"the environment's observation must be a Dict, got {space}")
+    return spaces.Dict(
+        {
+            key: VecTransposeImage.transpose_space(part)
+            if isinstance(part, spaces.Box) and is_image_space(part)
+            else part
+            for key, part in space.spaces.items()
+        }
+    )
+
+
+def _build(header: AgentHeader, env: gym.Env) -> BasePolicy:
+    space = channels_first(env)
+    policy_class: Any = ALGORITHMS[header.algo].policy_aliases[POLICY_CLASS]
+    with torch.random.fork_rng(devices=[]):  # its first random weights are not the caller's draws
+        try:
+            policy = policy_class(
+                space, env.action_space, lambda _: 0.0, **policy_kwargs(header.hyperparameters)
+            )
+        except (TypeError, AttributeError, AssertionError) as error:
+            raise InputError(
+                f"agent's policy_kwargs {header.hyperparameters.get('policy_kwargs')} do not make "
+                f"a policy of {header.algo}: {error}"
+            ) from error
+    policy.set_training_mode(False)
+    return policy
+
+
+def _check_spaces(header: AgentHeader, env: gym.Env, path: str | os.PathLike[str]) -> None:
+    greedy = header.algo == GREEDY  # it takes any views, and leaves out what it does not know
+    for name, trained in (
+        ("observation", header.observation_space),
+        ("action", header.action_space),
+    ):
+        found = describe_space(getattr(env, f"{name}_space"))
+        if greedy and name == "observation" and isinstance(found, dict):
+            found = {key: part for key, part in found.items() if key in trained}
+        if found != trained and not (greedy and name == "action"):
+            here = env.spec.id if env.spec else type(env.unwrapped).__name__
+            raise InputError(
+                f"agent file {path} was trained on {header.env} with the {name} space {trained}; "
+                f"{here} has {found}"
+            )

@@ -1,0 +1,141 @@
+"""Training over a bank: which scenes are learned from, and keeping the best policy."""
+
+from __future__ import annotations
+
+import functools
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import EvalCallback
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecTransposeImage
+
+from ...core.errors import InputError
+from ..networks.checkpoint import AgentHeader, describe_space, write_agent
+from .config import TrainAgentConfig
+
+POLICY = "policy.safetensors"
+
+WORST = -1e9
+"""Less than any mean reward."""
+
+
+def record_missing(config: TrainAgentConfig) -> None:
+    """Records the banks of the configuration that do not exist."""
+    from ...envs.recording.config import RecordBankConfig
+    from ...envs.recording.record_bank import record_bank
+
+    for path, scenes, seed, estimates in (
+        (config.bank, 1000, 101, True),
+        (config.visibility_bank, 2500, 303, False),
+    ):
+        if path is not None and not path.exists():
+            record_bank(
+                RecordBankConfig(
+                    out=path, scenes=scenes, seed=seed, estimates=estimates, device=config.device
+                )
+            )
+
+
+def split_bank(config: TrainAgentConfig) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Arguments of the replay environment for learning and for validation.
+
+    Raises:
+        InputError: if there is no such bank, or it has too few scenes.
+    """
+    from ...envs.replay import load_bank_cached
+
+    assert config.bank is not None
+    scenes = len(load_bank_cached(str(config.bank)))
+    if scenes <= config.validation:
+        raise InputError(
+            f"{config.bank} has {scenes} scenes: too few to keep {config.validation} for "
+            "validation; record more, or pass a smaller --validation"
+        )
+    kept = scenes - config.validation
+    return {"scenes": (0, kept), "mirror": True}, {"scenes": (kept, scenes), "shuffle": False}
+
+
+class _Validation(EvalCallback):
+    """SB3's, which writes the best policy, and knows what an earlier part of the run reached."""
+
+    model: Any  # with `best_mean_reward`, which checkpoints hold
+
+    def __init__(self, venv: VecEnv, header: AgentHeader, out: Path, **settings: Any) -> None:
+        super().__init__(venv, **settings)
+        self._header, self._out = header, out
+
+    def _init_callback(self) -> None:
+        super()._init_callback()
+        self.best_mean_reward = self.model.best_mean_reward
+
+    def _on_step(self) -> bool:
+        result = super()._on_step()
+        if self.best_mean_reward > self.model.best_mean_reward:
+            self.model.best_mean_reward = self.best_mean_reward
+            save_policy(self.model, self._header, self._out)
+        return result
+
+
+def make_validation(
+    header: AgentHeader, config: TrainAgentConfig, arguments: dict[str, Any], n_envs: int
+) -> EvalCallback:
+    """Measures the policy on the validation scenes, and keeps the best one."""
+    make = functools.partial(make_env, config.env_id, arguments)
+    return _Validation(
+        VecTransposeImage(make_vec_env(make, n_envs=1, seed=config.seed, vec_env_cls=DummyVecEnv)),
+        header,
+        config.out,
+        n_eval_episodes=config.validation,
+        eval_freq=max(1, config.evaluate_every // n_envs),
+        deterministic=True,
+        verbose=0,
+    )
+
+
+def save_policy(model: BaseAlgorithm, header: AgentHeader, out: Path) -> None:
+    """Writes the policy as it is now into ``out``."""
+    weights = {f"policy/{key}": value for key, value in model.policy.state_dict().items()}
+    write_agent(out / POLICY, replace(header, steps=model.num_timesteps), weights, half=True)
+
+
+def make_header(
+    config: TrainAgentConfig,
+    hyperparameters: dict[str, Any],
+    env: gym.Env | VecEnv,
+    n_envs: int = 1,
+    steps: int = 0,
+) -> AgentHeader:
+    """What identifies the run, as plain data.
+
+    Raises:
+        InputError: if the environment's arguments are not plain data.
+    """
+    try:
+        env_kwargs = json.loads(json.dumps(config.environment_arguments))
+    except TypeError as error:
+        raise InputError(
+            f"the environment's arguments must be plain data to be saved with the agent, "
+            f"got {config.environment_arguments}: {error}"
+        ) from error
+    return AgentHeader(
+        algo=config.algo,
+        env=config.env_id,
+        env_kwargs=env_kwargs,
+        hyperparameters=hyperparameters,
+        n_envs=n_envs,
+        seed=config.seed,
+        checkpoint_every=config.checkpoint_every,
+        steps=steps,
+        observation_space=describe_space(env.observation_space),
+        action_space=describe_space(env.action_space),
+    )
+
+
+def make_env(env_id: str, arguments: dict[str, Any]) -> gym.Env:
+    """Makes the environment in whichever process this runs; unpickling it registers the ids."""
+    return gym.make(env_id, **arguments)

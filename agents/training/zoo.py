@@ -1,0 +1,22 @@
+"""Our hyper-parameters of PPO as rl-zoo3 reads them from a module: ``--conf-file``.
+
+rl-zoo3 trains by environment id. One command, with recorded views::
+
+    python -m rl_zoo3.train --algo ppo --env TwoViewPoseReplay-v0 --gym-packages two_view_pose \\
+      --conf-file two_view_pose.agents.training.zoo --env-kwargs bank:'"bank.npz"'
+
+What ``hyperparameters.yml`` says in plain data, such as the extractor's name, is turned into what
+SB3 takes.
+"""
+
+from __future__ import annotations
+
+import yaml
+
+from ..networks.algorithms import policy_kwargs
+from .hyperparameters import SHIPPED, load_hyperparameters
+
+hyperparams = {
+    env_id: (entry := load_hyperparameters("ppo", env_id)) | {"policy_kwargs": policy_kwargs(entry)}
+    for env_id in yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))["ppo"]
+}

@@ -1,0 +1,35 @@
+"""Errors of a relative camera pose, as an inexact hand-eye calibration makes them."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .geometry import make_transform
+
+
+def perturb_relative_pose(
+    T_second_ref: np.ndarray,
+    degrees: float,
+    meters: float,
+    rng: np.random.Generator,
+    *,
+    uniform: bool = False,
+) -> np.ndarray:
+    """Turns the second camera about its center and shifts it, both in random directions.
+
+    Args:
+        T_second_ref: relative pose (4, 4), from the reference camera's frame to the second's.
+        degrees: angle of the rotation.
+        meters: length of the shift.
+        rng: source of randomness.
+        uniform: draw the angle and the length uniformly from 0 to the given ones.
+
+    Returns:
+        The perturbed relative pose (4, 4).
+    """
+    axis, direction = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+    if uniform:
+        degrees, meters = rng.uniform(0, degrees), rng.uniform(0, meters)
+    rotation = Rotation.from_rotvec(axis * np.radians(degrees)).as_matrix()
+    return make_transform(rotation, direction * meters) @ T_second_ref

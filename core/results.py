@@ -1,0 +1,144 @@
+"""The results file that every command writes for ``--json``: one flat list, one number each.
+
+The document is ``{"command", "versions", "seed", "records"}``; a record is ``{"metric", "value",
+"unit", ...tags}``. Reports, tables and checks read these files and nothing else, so a record that a
+reader could misread (a missing tag, a NaN, which JSON does not know) is refused when it is written.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import subprocess
+from collections.abc import Iterable, Mapping
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from .errors import InputError
+from .files import write_atomically
+
+PACKAGES = (
+    "two-view-pose",
+    "gymnasium",
+    "mujoco",
+    "numpy",
+    "opencv-python-headless",
+    "safetensors",
+    "scipy",
+    "stable-baselines3",
+    "torch",
+    "trimesh",
+)
+"""Distributions whose versions can change a number."""
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of Python and of every installed package of `PACKAGES`; imports none of them."""
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+@cache
+def commit() -> str | None:
+    """The commit of the checkout that this package runs from, or None for an installed wheel."""
+    root = Path(__file__).resolve().parents[1]
+    if not (root / ".git").exists():
+        return None
+    try:
+        answer = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=root, capture_output=True, text=True, timeout=10
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return answer.stdout.strip() if answer.returncode == 0 else None
+
+
+def check_record(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns ``record`` as plain Python values.
+
+    Args:
+        record: ``metric`` (text), ``value`` (a finite number), ``unit`` (text) and any tags, whose
+            values are text, finite numbers, booleans or None. NumPy scalars are converted.
+
+    Raises:
+        InputError: if a key is missing or a value is of another kind.
+    """
+    missing = [key for key in ("metric", "value", "unit") if key not in record]
+    if missing:
+        raise InputError(
+            f"record must have metric, value and unit, lacks {', '.join(missing)}: {dict(record)}"
+        )
+    plain = {
+        key: value.item() if hasattr(value, "item") else value for key, value in record.items()
+    }
+    for key in ("metric", "unit"):
+        if not isinstance(plain[key], str):
+            raise InputError(f"record's {key} must be text, got {plain[key]!r}")
+    if isinstance(plain["value"], bool) or not isinstance(plain["value"], int | float):
+        raise InputError(
+            f"record {plain['metric']}: value must be a number, got {plain['value']!r}"
+        )
+    for key, value in plain.items():
+        if not isinstance(value, str | int | float | bool | None):
+            raise InputError(
+                f"record {plain['metric']}: tag {key} must be text, a number, a boolean or None, "
+                f"got {value!r}"
+            )
+        if isinstance(value, float) and not math.isfinite(value):
+            raise InputError(f"record {plain['metric']}: {key} must be finite, got {value}")
+    return plain
+
+
+def write_results(
+    path: str | os.PathLike[str],
+    records: Iterable[Mapping[str, Any]],
+    *,
+    command: str,
+    seed: int | None,
+) -> None:
+    """Writes a results file; the path holds either the old file or the whole new one.
+
+    Args:
+        path: the JSON file; its folder is made if need be.
+        records: see `check_record`.
+        command: the command and its arguments, so that a reader can repeat it.
+        seed: the seed of the command, None if it draws nothing.
+
+    Raises:
+        InputError: if a record is malformed.
+    """
+    document = {
+        "command": command,
+        "versions": versions(),
+        "seed": seed,
+        "records": [check_record(record) for record in records],
+    }
+    write_atomically(path, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+
+
+def read_results(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Reads a results file.
+
+    Raises:
+        InputError: if it is not a results file.
+    """
+    try:
+        document = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"results file {path} is not JSON: {error}") from error
+    keys = {"command", "versions", "seed", "records"}
+    if not isinstance(document, dict) or set(document) != keys:
+        found = sorted(document) if isinstance(document, dict) else type(document).__name__
+        raise InputError(f"results file {path} must have the keys {sorted(keys)}, got {found}")
+    document["records"] = [check_record(record) for record in document["records"]]
+    return document

@@ -1,0 +1,40 @@
+"""Checks of settings: every error names the field, what is allowed, and the value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from numbers import Real
+
+from .errors import InputError
+
+
+def require_within(config: object, low: float, high: float, *names: str, prefix: str = "") -> None:
+    """Checks that fields of ``config`` are finite numbers of ``low`` to ``high``, both included.
+
+    Errors name a field with ``prefix`` before it.
+
+    Raises:
+        InputError: if one is not.
+    """
+    for name in names:
+        value = getattr(config, name)
+        _require((value,), low, high, f"{prefix}{name} must be", value)
+
+
+def require_range(config: object, low: float, high: float, *names: str) -> None:
+    """Checks that fields of ``config`` are pairs (lowest, highest) within ``low`` to ``high``.
+
+    Raises:
+        InputError: if one is not.
+    """
+    for name in names:
+        value = getattr(config, name)
+        _require(value, low, high, f"{name} must be (lowest, highest) and", value)
+
+
+def _require(numbers: Sequence, low: float, high: float, subject: str, value: object) -> None:
+    finite = all(isinstance(n, Real) and math.isfinite(n) for n in numbers)
+    if not (finite and low <= numbers[0] <= numbers[-1] <= high):
+        allowed = f"{low:g} to {high:g}" if high < math.inf else f">= {low:g}"
+        raise InputError(f"{subject} {allowed}, got {value!r}")

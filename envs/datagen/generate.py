@@ -1,0 +1,155 @@
+"""Renders scenes for training and testing estimators, and writes them in BOP format.
+
+One BOP scene is one arrangement of objects, seen by several cameras. Either the first is the
+reference view and the others stand 10 to 75 degrees from it around the target, or they are frames
+of a hand-held camera's sequence, or those of a stereo rig. What a scene holds depends only on the
+seed and its number, so neither the number of workers nor a restart changes a byte.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from tqdm import tqdm
+
+from .config import GenerateConfig
+
+if TYPE_CHECKING:
+    from ...assets.object_model import ObjectModel
+
+IGNORED_SETTINGS = frozenset(
+    ("out", "scenes", "workers", "worker_memory", "shard", "coco", "verify", "json")
+)
+"""Settings that do not change what a scene looks like."""
+
+_ONLY_WITH = {
+    "gaps": ("hand-held", "mixed"),
+    "references": ("hand-held", "mixed"),
+    "stereo_baseline": ("stereo",),
+}
+"""Settings that mean something with some samplings only."""
+
+
+def generate(config: GenerateConfig) -> int:
+    """Writes models and camera, renders the scenes that are missing, then lists their pairs.
+
+    Returns:
+        The exit code: 1 if ``config.verify`` is set and a file is not as it was written, else 0.
+
+    Raises:
+        InputError: if the folder holds a dataset that was made with other settings, or an object
+            is unknown.
+        GraphicsUnavailable: if there is no OpenGL to draw with.
+        ChildProcessError: if workers die again and again.
+    """
+    from ...core.worker_pool import run_scenes
+    from ...pose_estimator.bop.writer import scene_folder
+    from .checksums import SUMS_FILE, verify
+    from .scene_plan import dataset_objects
+    from .scene_writer import SceneWriter, is_finished
+
+    if config.verify:
+        return min(1, verify(config.out))
+    objects = dataset_objects(config)
+    write_manifest(config, tuple(objects))
+    (config.out / SUMS_FILE).unlink(missing_ok=True)  # it says that the run is finished
+    _write_models(config, objects)
+    part, parts = config.shard
+    ids = range(part, config.scenes, parts)
+    missing = [i for i in ids if not scene_folder(config.out, config.split, i).exists()]
+    unfinished = [i for i in ids if not is_finished(config, i)]
+    start = time.perf_counter()
+    with tqdm(total=len(ids), initial=len(ids) - len(unfinished), unit="scene") as bar:
+        task = partial(SceneWriter, config)
+        for _ in run_scenes(task, unfinished, config.workers, config.worker_memory):
+            bar.update()
+    if parts == 1:
+        _write_lists(config)
+    _report(config, tuple(objects), ids, missing, time.perf_counter() - start)
+    return 0
+
+
+def write_manifest(config: GenerateConfig, object_names: tuple[str, ...]) -> None:
+    """Writes manifest.json, or checks that the one that is there says the same.
+
+    Args:
+        config: what is to be generated.
+        object_names: names of its objects, the distractors last.
+
+    Raises:
+        InputError: if the folder holds a dataset that was made with other settings.
+    """
+    from ...core.results import versions
+    from .checksums import SUMS_FILE
+    from .dataset_folder import check_or_write_manifest
+    from .scene_plan import target_names
+
+    targets = target_names(config, object_names)
+    settings: dict[str, Any] = asdict(config)
+    settings |= {"objects": targets, "distractors": object_names[len(targets) :]}
+    unused = {name for name, kinds in _ONLY_WITH.items() if config.sampling not in kinds}
+    check_or_write_manifest(
+        config.out / "manifest.json",
+        {k: v for k, v in settings.items() if k not in IGNORED_SETTINGS | unused},
+        {"scenes": config.scenes, "versions": versions(), "checksums": SUMS_FILE},
+    )
+
+
+def _write_models(config: GenerateConfig, objects: Mapping[str, ObjectModel]) -> None:
+    """Writes the models and the camera."""
+    from ...pose_estimator.bop.models import write_evaluation_models, write_models
+    from ...pose_estimator.bop.writer import write_camera
+    from ..simulation.intrinsics import scaled_intrinsics
+
+    size = (config.height, config.width)
+    write_models(config.out, objects.values())
+    write_evaluation_models(config.out, objects.values())
+    write_camera(config.out, scaled_intrinsics(size, "stretch"), size)
+
+
+def _write_lists(config: GenerateConfig) -> None:
+    """Writes what is read back from the finished scenes: pairs, targets, checksums."""
+    from ...pose_estimator.bop.dataset import read_dataset
+    from ...pose_estimator.bop.pairs import PAIRS_FILE
+    from ...pose_estimator.bop.targets import TARGETS_FILE, is_test, write_targets
+    from ...pose_estimator.bop.writer import write_pairs
+    from .checksums import write_dataset_sums
+    from .dataset_folder import remove_leftovers
+    from .pair_list import two_view_pairs
+
+    out = config.out
+    write_pairs(out / PAIRS_FILE, two_view_pairs(config))
+    if is_test(config.split):
+        write_targets(read_dataset(out, config.split), range(config.scenes))
+    remove_leftovers(out, out / "models", out / "models_eval")
+    beside = ["manifest.json", "camera.json", PAIRS_FILE, "models", "models_eval"]
+    write_dataset_sums(out, config.split, [*beside, TARGETS_FILE])
+
+
+def _report(
+    config: GenerateConfig,
+    names: Sequence[str],
+    scene_ids: Sequence[int],
+    made: Sequence[int],
+    seconds: float,
+) -> None:
+    """Says how much there is, and how quick it was made."""
+    from ...core.results import write_results
+    from .scene_plan import plan_scene
+
+    images = {i: len(plan_scene(config, i, names).frames) for i in scene_ids}
+    total, new = sum(images.values()), sum(images[i] for i in made)
+    print(
+        f"{len(scene_ids)} scenes, {total} images in {config.out / config.split}; "
+        f"{new} images made now, {new / seconds:.1f} a second"
+    )
+    if config.json is not None:
+        records = [
+            {"metric": "pictures", "value": total, "unit": "1"},
+            {"metric": "pictures_per_second", "value": new / seconds, "unit": "1/s"},
+        ]
+        write_results(config.json, records, command="generate", seed=config.seed)

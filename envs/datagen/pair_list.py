@@ -1,0 +1,85 @@
+"""The two-view pairs of a generated dataset, read back from the disk."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...core.geometry import invert
+from ...pose_estimator.bop.dataset import BopImage, read_dataset
+from ...pose_estimator.bop.models_info import read_models_info
+from ...pose_estimator.bop.pairs import BopPair
+from ...pose_estimator.bop.targets import LEAST_VISIBLE
+from ..simulation.scene_kinds import SCENE_KINDS
+from ..simulation.trajectories.view_spread import viewing_angle
+from .config import GenerateConfig
+from .scene_plan import plan_scene, target_names
+
+
+def two_view_pairs(config: GenerateConfig) -> Iterator[BopPair]:
+    """The pairs (reference view, further view) of the written scenes.
+
+    Views around the sphere: the pairs whose angle at the target lies within ``config.pair_angles``.
+    Hand-held sequences and stereo rigs: the pairs of the gaps, or of left and right, one entry for
+    each target that the reference view shows; all objects of a heap are targets.
+    """
+    infos = read_models_info(config.out)
+    obj_ids = {str(info.name): obj_id for obj_id, info in infos.items()}
+    dataset = read_dataset(config.out, config.split)
+    for scene_id in range(config.scenes):
+        plan = plan_scene(config, scene_id, tuple(obj_ids))
+        images = dataset.scene(scene_id)
+        target = obj_ids[plan.target]
+        targets = [obj_ids[name] for name in target_names(config, tuple(obj_ids))]
+        for first, second in plan.pairs:
+            pair = _pair(images[first], images[second], target)
+            if config.annotations == "full":
+                pair = replace(pair, visib_fracts=_visibility(images[first], images[second]))
+            if plan.length is None and not plan.stereo:
+                if config.pair_angles[0] <= pair.baseline_deg <= config.pair_angles[1]:
+                    yield pair
+                continue
+            for obj_id in _shown(
+                images[first], targets if SCENE_KINDS[plan.kind].all_targets else [target]
+            ):
+                gap = None if plan.stereo else second - first
+                yield replace(pair, target_obj_id=obj_id, gap=gap)
+
+
+def _shown(reference: BopImage, targets: Sequence[int]) -> list[int]:
+    """Those of the targets that can be seen."""
+    return [
+        a.obj_id
+        for a in reference.annotations
+        if a.visibility >= LEAST_VISIBLE and a.obj_id in targets
+    ]
+
+
+def _visibility(first: BopImage, second: BopImage) -> dict[int, tuple[float, float]]:
+    """Visible fractions of each object in both views; an image lists all objects of its scene."""
+    return {
+        a.obj_id: (a.visibility, b.visibility)
+        for a, b in zip(first.annotations, second.annotations, strict=True)
+    }
+
+
+def _pair(first: BopImage, second: BopImage, target: int) -> BopPair:
+    assert first.T_cam_world is not None and second.T_cam_world is not None
+    T_world_cam = invert(first.T_cam_world)
+    return BopPair(
+        scene_id=first.scene_id,
+        ref_image_id=first.image_id,
+        second_image_id=second.image_id,
+        T_second_ref=second.T_cam_world @ T_world_cam,
+        baselines_deg={
+            a.obj_id: np.rad2deg(
+                viewing_angle(
+                    first.T_cam_world, second.T_cam_world, (T_world_cam @ a.T_cam_obj)[:3, 3]
+                )
+            )
+            for a in first.annotations
+        },
+        target_obj_id=target,
+    )

@@ -1,0 +1,104 @@
+"""What each scene of a generated dataset is: its kind, its target, its images and their pairs.
+
+A scene's images are views spread over the sphere around its target, the first of them the
+reference view, or those of a stereo rig that goes round it, or frames of a hand-held camera's
+sequence, several of which are reference views.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core.errors import InputError
+from ..simulation.scene_kinds import SCENE_MIXTURES
+from ..simulation.trajectories.stereo import rig_pairs
+
+if TYPE_CHECKING:
+    from ...assets.object_model import ObjectModel
+    from .config import GenerateConfig
+
+
+@dataclass(frozen=True)
+class ScenePlan:
+    """One scene, before anything is drawn.
+
+    Attributes:
+        kind: a name of :data:`~.scene_kinds.SCENE_KINDS`.
+        target: name of the object to be found; of some kinds of scenes, all objects are.
+        length: frames of the sequence; None where views are spread over the sphere.
+        frames: numbers of the frames that become images, ascending.
+        pairs: reference view and second view, by number.
+        stereo: whether the images are a rig's, left and right alternating.
+    """
+
+    kind: str
+    target: str
+    length: int | None
+    frames: tuple[int, ...]
+    pairs: tuple[tuple[int, int], ...]
+    stereo: bool = False
+
+
+def dataset_objects(config: GenerateConfig) -> dict[str, ObjectModel]:
+    """All objects of a dataset by name, the distractors last.
+
+    Raises:
+        InputError: if a distractor is a folder of several, or as ``load_objects``.
+    """
+    from ...assets import OBJECT_NAMES
+    from ...pose_estimator.bop.objects import load_objects
+
+    if not config.distractors:
+        return load_objects(config.objects or None)
+    if len(load_objects(config.distractors)) != len(config.distractors):
+        raise InputError("distractors must be named one by one, not as a folder of several")
+    return load_objects([*(config.objects or OBJECT_NAMES), *config.distractors])
+
+
+def target_names(config: GenerateConfig, names: Sequence[str]) -> Sequence[str]:
+    """Those of a dataset's objects, in the order of :func:`dataset_objects`, that are targets."""
+    return names[: len(names) - len(config.distractors)]
+
+
+def plan_scene(config: GenerateConfig, scene_id: int, names: Sequence[str]) -> ScenePlan:
+    """What scene ``scene_id`` is; ``names`` are those of the dataset's objects."""
+    targets = target_names(config, names)
+    target = targets[scene_id % len(targets)]
+    kinds = SCENE_MIXTURES.get(config.scene, (config.scene,))
+    turn = scene_id // len(targets)
+    kind = kinds[turn % len(kinds)]
+    if config.sampling == "stereo":
+        frames = tuple(range(config.views))
+        return ScenePlan(kind, target, None, frames, rig_pairs(config.views), stereo=True)
+    hand_held = config.sampling == "hand-held"
+    length, references = config.views, config.references
+    if config.sampling == "mixed":
+        hand_held = turn // len(kinds) % 2 == 1
+        length, references = 1 + max(config.gaps), 1
+    if not hand_held:
+        pairs = tuple((0, second) for second in range(1, config.views))
+        return ScenePlan(kind, target, None, tuple(range(config.views)), pairs)
+    pairs = tuple(
+        (first, first + gap)
+        for first in reference_frames(length, config.gaps, references)
+        for gap in config.gaps
+    )
+    frames = tuple(sorted({frame for pair in pairs for frame in pair}))
+    return ScenePlan(kind, target, length, frames, pairs)
+
+
+def reference_frames(length: int, gaps: Sequence[int], count: int) -> list[int]:
+    """Frames that still have a frame at every gap after them, spread evenly over the sequence.
+
+    Args:
+        length: frames of the sequence.
+        gaps: frames from a reference view to its second views.
+        count: how many are wanted; 0 for all there are.
+    """
+    possible = length - max(gaps)
+    count = min(count or possible, possible)
+    return [int(frame) for frame in np.linspace(0, possible - 1, count).round()]

@@ -1,0 +1,104 @@
+"""The command ``record-bank``: every candidate second view of many scenes, estimated once.
+
+Each scene is a file of its own until all are there, so a killed run resumes where it was; then they
+become one file. A scene depends on the seed and its number alone: neither the number of workers nor
+a restart changes anything in it.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from tqdm import tqdm
+
+from ...core.errors import InputError
+from .config import RecordBankConfig
+
+if TYPE_CHECKING:
+    from ..view_banks.bank import BankHeader, ViewBank
+
+IGNORED_SETTINGS = frozenset(("out", "scenes", "device", "workers", "worker_memory", "verify"))
+"""Options that do not change what is recorded of a scene."""
+
+
+def record_bank(config: RecordBankConfig) -> None:
+    """Records the scenes that are missing and writes the bank.
+
+    Raises:
+        InputError: if the file or the folder of its parts is of another bank, or is damaged, or
+            there is no such device.
+        GraphicsUnavailable: if there is no OpenGL to draw with.
+    """
+    from ...core.device import check_device
+    from ..view_banks.bank import read_bank
+
+    if config.out.exists() or config.verify:
+        bank = read_bank(config.out)
+        if not config.verify:
+            _check_same(bank.header, config)
+        describe(config.out, bank)
+        return
+    check_device(config.device)
+    if config.data is not None:
+        from .real_bank import record_real_bank
+
+        record_real_bank(config)
+    else:
+        _record_scenes(config)
+    describe(config.out, read_bank(config.out))
+
+
+def _record_scenes(config: RecordBankConfig) -> None:
+    from ...core.worker_pool import run_scenes
+    from ..datagen.dataset_folder import check_or_write_manifest
+    from ..view_banks.bank import concatenate, read_arrays, write_bank
+    from .recorder import BankRecorder, make_header
+
+    settings = {k: v for k, v in asdict(config).items() if k not in IGNORED_SETTINGS}
+    check_or_write_manifest(config.parts / "settings.json", settings)
+    missing = [i for i in range(config.scenes) if not config.part_path(i).exists()]
+    start = time.perf_counter()
+    with tqdm(total=config.scenes, initial=config.scenes - len(missing), unit="scene") as bar:
+        task = partial(BankRecorder, config)
+        for _ in run_scenes(task, missing, config.workers, config.worker_memory):
+            bar.update()
+    if missing:
+        seconds = time.perf_counter() - start
+        print(f"{len(missing)} scenes in {seconds:.0f} s, {seconds / len(missing):.2f} s each")
+    parts = [read_arrays(config.part_path(i)) for i in range(config.scenes)]
+    write_bank(config.out, concatenate(make_header(config), parts))
+    shutil.rmtree(config.parts)
+
+
+def describe(path: Path, bank: ViewBank) -> None:
+    """Prints what the bank of a file holds."""
+    header, right = bank.header, bank.second_error < 0.1
+    print(
+        f"{path}: {len(bank)} scenes ({header.source}, {header.scene}) of "
+        f"{len(np.unique(bank.object_index))} objects x {bank.slots} second views by "
+        f"{header.estimator}, {path.stat().st_size / 1e6:.1f} MB, checksum fits"
+    )
+    if not bank.has_estimates:
+        print(f"visible from the second views: {np.nanmean(bank.second_visibility):.0%} on average")
+        return
+    print(
+        f"ADD(-S) < 0.1 d: first view {np.mean(bank.first_error < 0.1):.1%}, a random second view "
+        f"{right.mean():.1%}, the best {right.any(axis=1).mean():.1%}"
+    )
+
+
+def _check_same(header: BankHeader, config: RecordBankConfig) -> None:
+    """Refuses to take a finished bank of other scenes for this one."""
+    same = header.seed == config.seed and header.estimator == config.estimator
+    same &= header.settings.get("pose_noise") == config.pose_noise
+    if config.data is None and not (same and header.scene == config.scene):
+        raise InputError(
+            f"{config.out} is a bank of other scenes ({header.source}, {header.scene}, seed "
+            f"{header.seed}, {header.estimator}): give another --out"
+        )

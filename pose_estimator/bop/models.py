@@ -1,0 +1,120 @@
+"""The models of a BOP dataset: ``models`` to be seen, ``models_eval`` to be measured with.
+
+Both hold one PLY file in millimeters for each object, and the same ``models_info.json``, so that
+poses are judged by one diameter and by the same symmetries wherever they are judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import fast_simplification
+import numpy as np
+import trimesh
+
+from ...assets.object_model import ObjectModel
+from ...core.errors import InputError
+from ...core.files import write_atomically
+from .fields import MM
+from .writer import write_json
+
+EVALUATION_FACES = 1500
+"""Triangles of a decimated mesh; the diameters of our objects change by less than 0.2 percent."""
+
+_AGGRESSION = 3.0
+
+
+def write_models(root: str | Path, objects: Iterable[ObjectModel]) -> None:
+    """Writes textured PLY files in millimeters, and ``models_info.json``.
+
+    The file says each object's name beside BOP's own fields.
+
+    Raises:
+        InputError: if two objects share a number.
+    """
+    objects = list(objects)
+    folder = Path(root) / "models"
+    infos = _infos(objects)
+    for model in objects:
+        stem = folder / f"obj_{model.obj_id:06d}"
+        done, picture = cv2.imencode(".png", np.ascontiguousarray(model.texture[..., ::-1]))
+        if not done:
+            raise InputError(f"the texture of {model.name!r} cannot be encoded")
+        write_atomically(stem.with_suffix(".png"), picture.tobytes())
+        write_atomically(stem.with_suffix(".ply"), _textured_ply(model, f"{stem.name}.png"))
+    write_json(folder / "models_info.json", infos)
+
+
+def write_evaluation_models(root: str | Path, objects: Iterable[ObjectModel]) -> None:
+    """Writes ``models_eval``: decimated meshes with normals, without texture, in millimeters.
+
+    Raises:
+        InputError: if two objects share a number.
+    """
+    objects = list(objects)
+    folder = Path(root) / "models_eval"
+    infos = _infos(objects)
+    for model in objects:
+        mesh = evaluation_mesh(model)
+        mesh.apply_scale(MM)
+        data = trimesh.exchange.ply.export_ply(mesh, vertex_normal=True)
+        write_atomically(folder / f"obj_{model.obj_id:06d}.ply", data)
+    write_json(folder / "models_info.json", infos)
+
+
+def evaluation_mesh(model: ObjectModel, faces: int = EVALUATION_FACES) -> trimesh.Trimesh:
+    """The surface of an object without texture and with at most ``faces`` triangles, meters.
+
+    The points that texture seams double become one. Quadric edge collapse (Garland and Heckbert,
+    "Surface simplification using quadric error metrics", SIGGRAPH 1997).
+    """
+    mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    if len(mesh.faces) <= faces:
+        return mesh
+    vertices, triangles = fast_simplification.simplify(
+        np.ascontiguousarray(mesh.vertices / model.diameter),  # its thresholds are lengths
+        np.ascontiguousarray(mesh.faces),
+        target_count=faces,
+        agg=_AGGRESSION,
+    )
+    return trimesh.Trimesh(vertices * model.diameter, triangles, process=False)
+
+
+def _infos(objects: Iterable[ObjectModel]) -> dict[str, dict[str, Any]]:
+    """The content of ``models_info.json``."""
+    infos: dict[str, dict[str, Any]] = {}
+    for model in objects:
+        if str(model.obj_id) in infos:
+            other = infos[str(model.obj_id)]["name"]
+            raise InputError(
+                f"objects {other!r} and {model.name!r} share the id {model.obj_id}, which "
+                "comes from their files' names: rename one of these"
+            )
+        infos[str(model.obj_id)] = _info(model)
+    return infos
+
+
+def _info(model: ObjectModel) -> dict[str, Any]:
+    minimum, extents = model.vertices.min(axis=0) * MM, model.extents * MM
+    entry: dict[str, Any] = {"name": model.name, "diameter": model.diameter * MM}
+    entry |= {f"min_{axis}": float(v) for axis, v in zip("xyz", minimum, strict=True)}
+    entry |= {f"size_{axis}": float(v) for axis, v in zip("xyz", extents, strict=True)}
+    if model.symmetric:
+        symmetries = np.array(model.symmetries[1:], dtype=np.float64)
+        symmetries[:, :3, 3] *= MM
+        entry["symmetries_discrete"] = symmetries.reshape(-1, 16).tolist()
+    return entry
+
+
+def _textured_ply(model: ObjectModel, texture: str) -> bytes:
+    """A PLY with the texture coordinates that BOP's renderers read (texture_u, texture_v)."""
+    mesh = trimesh.Trimesh(model.vertices * MM, model.faces, process=False)
+    uv = np.asarray(model.uv, dtype=np.float32)
+    mesh.vertex_attributes = {"texture_u": uv[:, 0], "texture_v": uv[:, 1]}
+    data = trimesh.exchange.ply.export_ply(mesh, vertex_normal=False)
+    start = data.index(b"\nelement vertex")
+    return data[:start] + f"\ncomment TextureFile {texture}".encode() + data[start:]

@@ -1,0 +1,128 @@
+"""``models_info.json`` of a BOP dataset: the sizes and the symmetries of its objects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .fields import MM, Place, Report, read_json, read_numbers, refuse, rigid
+
+CONTINUOUS_SYMMETRY_STEPS = 72
+"""How many rotations stand for a continuous symmetry."""
+
+
+@dataclass(frozen=True, eq=False)
+class BopModelInfo:
+    """What ``models_info.json`` says of one object.
+
+    Attributes:
+        obj_id: its number.
+        name: its name, or None (the field is not part of BOP).
+        diameter: largest distance between two surface points, meters.
+        minimum: lower corner of the bounding box, (3,), meters.
+        extents: sides of the bounding box, (3,), meters.
+        discrete: (D, 4, 4) discrete symmetries, without the identity, meters.
+        axes: (C, 6) continuous symmetries: axis, and a point on it in meters.
+        mesh_path: its PLY file (in millimeters).
+    """
+
+    obj_id: int
+    name: str | None
+    diameter: float
+    minimum: np.ndarray
+    extents: np.ndarray
+    discrete: np.ndarray
+    axes: np.ndarray
+    mesh_path: Path
+
+    @cached_property
+    def symmetries(self) -> np.ndarray:
+        """(S, 4, 4) transforms under which it looks the same, identity first, meters.
+
+        A continuous symmetry counts as ``CONTINUOUS_SYMMETRY_STEPS`` discrete ones.
+        """
+        found = [np.eye(4), *self.discrete]
+        for axis, offset in zip(self.axes[:, :3], self.axes[:, 3:], strict=True):
+            angles = np.linspace(0, 2 * np.pi, CONTINUOUS_SYMMETRY_STEPS, endpoint=False)[1:]
+            turns = np.tile(np.eye(4), (len(angles), 1, 1))
+            turns[:, :3, :3] = Rotation.from_rotvec(
+                angles[:, None] * axis / np.linalg.norm(axis)
+            ).as_matrix()
+            turns[:, :3, 3] = offset - turns[:, :3, :3] @ offset
+            found = [*found, *(T @ turn for T in found for turn in turns)]
+        return np.stack(found)
+
+
+def read_models_info(root: str | Path, folder: str = "models") -> dict[int, BopModelInfo]:
+    """Reads ``models_info.json``: obj_id -> what it says, in meters.
+
+    Raises:
+        InputError: if the file is missing or broken; the message names file and field.
+    """
+    path = Path(root) / folder / "models_info.json"
+    infos = read_entries(path)
+    for obj_id, info in infos.items():
+        rigid(info.discrete, lambda i, o=obj_id: f"{path}: object {o}: symmetry {i}")  # type: ignore[misc]
+    return infos
+
+
+def read_entries(path: Path, report: Report = refuse) -> dict[int, BopModelInfo]:
+    """The entries of ``models_info.json`` as they are: NaN where broken, any symmetries.
+
+    Raises:
+        InputError: of ``report``, where something is broken.
+    """
+    infos = {}
+    for key, entry in (read_json(path, dict, report) or {}).items():
+        if not key.isdigit() or not isinstance(entry, dict):
+            report(
+                path, "keys", "an entry must be an object's number and its description",
+                detail=f"key {key[:40]!r}", remedy="rename or remove the entry",
+            )  # fmt: skip
+            continue
+        infos[int(key)] = _read_entry(int(key), entry, path, report)
+    return infos
+
+
+def _read_entry(obj_id: int, entry: Mapping[str, Any], path: Path, report: Report) -> BopModelInfo:
+    place = Place(entry=f"object {obj_id}")
+
+    def length(*names: str) -> np.ndarray:
+        values = [read_numbers([entry], name, 1, path, [place], report)[0, 0] for name in names]
+        return np.array(values) / MM
+
+    def listed(name: str) -> list[Any]:
+        value = entry.get(name, [])
+        if isinstance(value, list):
+            return value
+        report(
+            path, name, "must be a list", detail=f"object {obj_id}: {str(value)[:60]}",
+            remedy="give a list, empty for none",
+        )  # fmt: skip
+        return []
+
+    rows = [{"symmetries_discrete": row} for row in listed("symmetries_discrete")]
+    places = [Place(entry=f"object {obj_id}, symmetry {i}") for i in range(len(rows))]
+    discrete = read_numbers(rows, "symmetries_discrete", 16, path, places, report)
+    discrete = discrete.reshape(-1, 4, 4)
+    discrete[:, :3, 3] /= MM
+    continuous = listed("symmetries_continuous")
+    places = [place] * len(continuous)
+    axis = read_numbers(continuous, "axis", 3, path, places, report)
+    offset = read_numbers(continuous, "offset", 3, path, places, report) / MM
+    return BopModelInfo(
+        obj_id=obj_id,
+        name=entry.get("name"),
+        diameter=float(length("diameter")[0]),
+        minimum=length("min_x", "min_y", "min_z"),
+        extents=length("size_x", "size_y", "size_z"),
+        discrete=discrete,
+        axes=np.concatenate([axis, offset], axis=1),
+        mesh_path=path.parent / f"obj_{obj_id:06d}.ply",
+    )

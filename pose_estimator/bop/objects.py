@@ -1,0 +1,160 @@
+"""The objects of a BOP dataset as its errors are measured: points, diameter, symmetries."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from ... import assets
+from ...assets import surface
+from ...assets.object_model import ObjectModel
+from ...core.errors import InputError
+from .fields import MM
+from .models_info import BopModelInfo, read_models_info
+
+_FOLDERS = ("models_eval", "models")
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluationObject:
+    """One object of a dataset, without looks.
+
+    Attributes:
+        obj_id: its number.
+        name: its name, or ``obj_000005`` where the dataset gives none.
+        points: (N, 3) the vertices of its mesh, meters; BOP's toolkit measures on them too.
+        diameter: largest distance between two surface points, meters.
+        symmetries: (S, 4, 4) transforms under which it looks the same, identity first, meters.
+    """
+
+    obj_id: int
+    name: str
+    points: np.ndarray
+    diameter: float
+    symmetries: np.ndarray
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether ADD-S is the measure for this object."""
+        return len(self.symmetries) > 1
+
+
+def load_objects(
+    spec: str | Path | Iterable[str | Path] | None = None,
+) -> dict[str, ObjectModel]:
+    """`assets.load_objects`; meshes of a BOP dataset bring what ``models_info.json`` says of them.
+
+    Where that file lies beside a mesh ``obj_000005.ply``, the object's symmetries, diameter and
+    name come from there, and the mesh is in millimeters.
+
+    Raises:
+        InputError: as `assets.load_objects`, or if ``models_info.json`` is broken or of another
+            size than the mesh.
+        FileNotFoundError: as `assets.load_objects`.
+    """
+    return assets.load_objects(spec, _load_object)
+
+
+def _load_object(name_or_path: str | Path) -> ObjectModel:
+    name, path = assets.split_name(name_or_path)
+    described = path.resolve().with_name("models_info.json")
+    if not (re.fullmatch(r"obj_\d+", path.stem) and path.is_file() and described.is_file()):
+        return assets.load_object(name_or_path)
+    folder = described.parent
+    info = read_models_info(folder.parent, folder.name).get(int(path.stem.removeprefix("obj_")))
+    if info is None:
+        return assets.load_object(name_or_path)
+    from ...assets.mesh_import import import_mesh
+
+    try:
+        return import_mesh(
+            path,
+            name or info.name,
+            unit="mm",
+            symmetries=info.symmetries,
+            diameter=info.diameter,
+        )
+    except ValueError as error:
+        raise InputError(f"{error}; it is described in {described}") from error
+
+
+def has_models(root: str | Path) -> bool:
+    """Whether a dataset comes with models of its objects."""
+    return any((Path(root) / name).is_dir() for name in _FOLDERS)
+
+
+def dataset_objects(
+    root: str | Path, obj_ids: Collection[int] | None = None, *, ignore_unknown: bool = False
+) -> dict[int, EvaluationObject]:
+    """The objects that a dataset is measured with: those of ``models_eval``, else of ``models``.
+
+    Diameters and symmetries come from the folder's ``models_info.json``, or from that of
+    ``models``.
+
+    Args:
+        root: the dataset's folder.
+        obj_ids: which to read; None for all.
+        ignore_unknown: leave out those that the dataset does not describe.
+
+    Returns:
+        obj_id -> object, ascending.
+
+    Raises:
+        InputError: if there are no models, one is missing or broken, or its size is not that of
+            ``models_info.json``.
+    """
+    root = Path(root)
+    folder = next((name for name in _FOLDERS if (root / name).is_dir()), None)
+    if folder is None:
+        raise InputError(
+            f"{root} has neither models_eval nor models: unpack the dataset's models there"
+        )
+    described = folder if (root / folder / "models_info.json").is_file() else "models"
+    infos = read_models_info(root, described)
+    wanted = sorted(infos if obj_ids is None else set(obj_ids))
+    if ignore_unknown:
+        wanted = [obj_id for obj_id in wanted if obj_id in infos]
+    if unknown := [obj_id for obj_id in wanted if obj_id not in infos]:
+        raise InputError(
+            f"{root / described / 'models_info.json'} does not describe object {unknown[0]}; it "
+            f"has {', '.join(map(str, sorted(infos)))}"
+        )
+    return {i: _object(infos[i], root / folder / infos[i].mesh_path.name) for i in wanted}
+
+
+def _object(info: BopModelInfo, path: Path) -> EvaluationObject:
+    points = _read_vertices(path)
+    measured = surface.diameter(points)
+    if not 0.9 < measured / info.diameter < 1.1:
+        raise InputError(
+            f"{path} has a diameter of {measured * MM:g} mm, but models_info.json says "
+            f"{info.diameter * MM:g} mm; both must be in millimeters"
+        )
+    return EvaluationObject(
+        obj_id=info.obj_id,
+        name=info.name or f"obj_{info.obj_id:06d}",
+        points=points,
+        diameter=info.diameter,
+        symmetries=info.symmetries,
+    )
+
+
+def _read_vertices(path: Path) -> np.ndarray:
+    """The vertices (N, 3) of a PLY file, meters."""
+    if not path.is_file():
+        raise InputError(f"{path} is missing, but models_info.json describes that object")
+    try:
+        # Textures would have vertices doubled that are one in the file.
+        mesh: Any = trimesh.load(path, process=False, fix_texture=False)
+        vertices = np.asarray(mesh.vertices, dtype=np.float64) / MM
+    except Exception as error:  # readers of broken files fail in every way there is
+        raise InputError(f"{path} cannot be read as a mesh (truncated?): {error!r}") from error
+    if vertices.ndim != 2 or len(vertices) < 4 or not np.isfinite(vertices).all():
+        raise InputError(f"{path} must hold at least four vertices, all of them finite")
+    return vertices

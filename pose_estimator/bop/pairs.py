@@ -1,0 +1,196 @@
+"""Two-view pairs of a BOP dataset: which two images show objects that did not move between."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.geometry import invert
+from .fields import MM, Place, Report, read_json, read_numbers, read_transforms, refuse, rigid
+
+PAIRS_FILE = "two_view_pairs.json"
+"""The list of pairs in a dataset's folder."""
+
+
+@dataclass(frozen=True, eq=False)
+class BopPair:
+    """Two images of one scene between which the named objects did not move.
+
+    Attributes:
+        scene_id: number of the scene folder.
+        ref_image_id: the reference view.
+        second_image_id: the second view.
+        T_second_ref: reference camera to second camera, (4, 4), meters.
+        baselines_deg: for each object that stood still, the angle in degrees between the two rays
+            from it to the cameras.
+        target_obj_id: the object that the pair was made for, or None.
+        gap: frames from one to the other where both belong to one sequence, or None.
+        visib_fracts: for each object, its visible fractions in the reference view and in the
+            second, 0 to 1; empty where the file does not say.
+    """
+
+    scene_id: int
+    ref_image_id: int
+    second_image_id: int
+    T_second_ref: np.ndarray
+    baselines_deg: Mapping[int, float] = field(default_factory=dict)
+    target_obj_id: int | None = None
+    gap: int | None = None
+    visib_fracts: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def obj_ids(self) -> tuple[int, ...]:
+        """The objects that did not move."""
+        return tuple(self.baselines_deg)
+
+    @property
+    def baseline_deg(self) -> float:
+        """The angle at the target, or the mean over the objects where there is no target."""
+        if self.target_obj_id is not None:
+            return self.baselines_deg[self.target_obj_id]
+        return float(np.mean(list(self.baselines_deg.values())))
+
+
+def turned_round(pair: BopPair) -> BopPair:
+    """The pair with its second view as the reference."""
+    return replace(
+        pair,
+        ref_image_id=pair.second_image_id,
+        second_image_id=pair.ref_image_id,
+        T_second_ref=invert(pair.T_second_ref),
+        visib_fracts={obj_id: (b, a) for obj_id, (a, b) in pair.visib_fracts.items()},
+    )
+
+
+def read_pairs(path: str | Path) -> tuple[BopPair, ...]:
+    """Reads a list of two-view pairs.
+
+    Two forms are known: ours (a list, see ``bop_writer.write_pairs``), and one for a single scene
+    whose cameras have no world: ``{"scene_id", "pairs": [{"im_a", "im_b", "T_b_a_mm", "objects":
+    {obj_id: {"baseline_deg"}}}]}``.
+
+    Args:
+        path: the file, or a dataset's folder that holds ``two_view_pairs.json``.
+
+    Raises:
+        InputError: if the file is missing or broken; the message names file and field.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / PAIRS_FILE
+    pairs = read_entries(path)
+    T = np.array([pair.T_second_ref for pair in pairs.values()]).reshape(-1, 4, 4)
+    rigid(T, lambda i: f"{path}: pair {i}: rotation")
+    return tuple(
+        replace(pair, T_second_ref=moved) for pair, moved in zip(pairs.values(), T, strict=True)
+    )
+
+
+def read_entries(path: Path, report: Report = refuse) -> dict[int, BopPair]:
+    """The entries of a list of pairs by their position; without those that name no images.
+
+    Rotations are left as they are; a transform is NaN where it is broken.
+
+    Raises:
+        InputError: of ``report``, where something is broken.
+    """
+    content = read_json(path, (list, dict), report)
+    if content is None:
+        return {}
+    entries = content.get("pairs") if isinstance(content, dict) else content
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        report(
+            path, "pairs", "must be a list of pairs",
+            remedy="see bop_writer.write_pairs for the form",
+        )  # fmt: skip
+        return {}
+    places = [Place(entry=f"pair {i}") for i in range(len(entries))]
+    if isinstance(content, dict):
+        entries = [{"scene_id": content.get("scene_id")} | _as_ours(entry) for entry in entries]
+        T = read_numbers(entries, "T_b_a_mm", 16, path, places, report).reshape(-1, 4, 4)
+        T[:, :3, 3] /= MM
+    else:
+        names = "cam_R_ref2second", "cam_t_ref2second"
+        T = read_transforms(entries, names, path, places, report)
+    ids = np.column_stack(
+        [
+            read_numbers(entries, name, 1, path, places, report)
+            for name in ("scene_id", "ref_image_id", "second_image_id")
+        ]
+    )
+    return {
+        number: BopPair(
+            scene_id=int(ids[number, 0]),
+            ref_image_id=int(ids[number, 1]),
+            second_image_id=int(ids[number, 2]),
+            T_second_ref=T[number],
+            baselines_deg=_baselines(entry.get("baselines_deg"), path, number, report),
+            target_obj_id=entry.get("target_obj_id"),
+            gap=_gap(entry.get("gap"), path, places[number], report),
+            visib_fracts=_visib_fracts(entry, path, number, report),
+        )
+        for number, entry in enumerate(entries)
+        if not np.isnan(ids[number]).any()
+    }
+
+
+def _as_ours(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """An entry of the other form with our names."""
+    ours = {"im_a": "ref_image_id", "im_b": "second_image_id"}
+    renamed = {ours.get(name, name): value for name, value in entry.items()}
+    objects = entry.get("objects")
+    if isinstance(objects, dict):
+        renamed["baselines_deg"] = {
+            key: value.get("baseline_deg") if isinstance(value, dict) else value
+            for key, value in objects.items()
+        }
+    return renamed
+
+
+def _gap(gap: Any, path: Path, place: Place, report: Report) -> int | None:
+    """The optional field ``gap``."""
+    if gap is None or (type(gap) is int and gap >= 1):
+        return gap
+    report(
+        path, "gap", "must be an integer of at least 1", place=place, detail=repr(gap)[:60],
+        remedy="give the frames between, or leave it out",
+    )  # fmt: skip
+    return None
+
+
+def _baselines(given: Any, path: Path, number: int, report: Report) -> dict[int, float]:
+    entries = given if isinstance(given, dict) else {}
+    good = all(
+        key.isdigit() and isinstance(v, int | float) and 0 <= v <= 180 for key, v in entries.items()
+    )
+    if not entries or not good:
+        report(
+            path, "baselines_deg", "must be objects and their angles",
+            detail=f"pair {number}: {str(given)[:60]}",
+            remedy="give each object that stood still the angle in degrees between its two views",
+        )  # fmt: skip
+        return {int(key): np.nan for key in entries if key.isdigit()}
+    return {int(key): float(value) for key, value in entries.items()}
+
+
+def _visib_fracts(
+    entry: Mapping[str, Any], path: Path, number: int, report: Report
+) -> dict[int, tuple[float, float]]:
+    """The optional field ``visib_fracts``."""
+    given = entry.get("visib_fracts", {})
+    if not isinstance(given, dict) or not all(key.isdigit() for key in given):
+        report(
+            path, "visib_fracts", "must be objects and their visible fractions",
+            detail=f"pair {number}: {str(given)[:60]}", remedy="see bop_writer.write_pairs",
+        )  # fmt: skip
+        return {}
+    place = [Place(entry=f"pair {number}, visible fractions")]
+    return {
+        int(key): (float(both[0]), float(both[1]))
+        for key in given
+        for both in read_numbers([given], key, 2, path, place, report)
+    }

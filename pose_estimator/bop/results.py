@@ -1,0 +1,182 @@
+"""Files of pose estimates as the BOP benchmark exchanges them, written and read.
+
+A CSV of the task "6D localization" since BOP Challenge 2019, with the columns of `HEADER`: R is
+nine numbers row by row, t three numbers in millimeters, both separated by blanks
+(https://bop.felk.cvut.cz/challenges/bop-challenge-2019/#formatofresults). BOP recommends names such
+as ``METHOD_DATASET-SPLIT.csv``; nothing here depends on them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ...core.errors import InputError
+from ...core.files import write_atomically
+from ...core.geometry import check_rigid
+from .fields import MM, Place, read_numbers, read_transforms, rigid
+
+HEADER = "scene_id,im_id,obj_id,score,R,t,time"
+_COLUMNS = HEADER.split(",")
+
+UNKNOWN_TIME = -1.0
+"""What BOP has in the column ``time`` where nobody measured it."""
+
+
+@dataclass(frozen=True, eq=False)
+class BopResult:
+    """One estimate: a row of the file.
+
+    Attributes:
+        scene_id: number of the scene folder.
+        image_id: number of the picture in its scene.
+        obj_id: number of the object.
+        score: how sure the method is; only the order within a file means something.
+        T_cam_obj: the object in the camera, (4, 4), meters.
+        seconds: that the method took for all objects of the picture, `UNKNOWN_TIME` where nobody
+            measured it.
+    """
+
+    scene_id: int
+    image_id: int
+    obj_id: int
+    score: float
+    T_cam_obj: np.ndarray
+    seconds: float = UNKNOWN_TIME
+
+    @property
+    def target(self) -> tuple[int, int, int]:
+        """Scene, picture and object."""
+        return self.scene_id, self.image_id, self.obj_id
+
+
+def write_bop_results(path: str | Path, results: Iterable[BopResult]) -> None:
+    """Writes estimates; all digits are kept, so that reading gives the same poses.
+
+    Raises:
+        InputError: if a pose is not rigid, or a score or a time is not finite.
+    """
+    lines = [HEADER]
+    for result in results:
+        name = f"estimate of object {result.obj_id} in scene {result.scene_id}, image "
+        name += str(result.image_id)
+        T = check_rigid(result.T_cam_obj, f"T_cam_obj of the {name}")
+        if not (math.isfinite(result.score) and math.isfinite(result.seconds)):
+            raise InputError(f"score and seconds of the {name} must be finite")
+        cells = [str(number) for number in result.target]
+        cells += [repr(float(result.score)), _numbers(T[:3, :3]), _numbers(T[:3, 3] * MM)]
+        lines.append(",".join([*cells, repr(float(result.seconds))]))
+    write_atomically(path, ("\n".join(lines) + "\n").encode())
+
+
+def read_bop_results(
+    path: str | Path,
+    images: Mapping[int, Collection[int]] | None = None,
+    obj_ids: Collection[int] | None = None,
+) -> tuple[BopResult, ...]:
+    """Reads a file of estimates, in its order. The header may be missing, as for BOP's toolkit.
+
+    Args:
+        path: the file.
+        images: scene id -> image ids that there are; None takes any.
+        obj_ids: objects that there are; None takes any.
+
+    Raises:
+        InputError: if the file is none, a row is broken, a pose is not a rotation and a
+            translation, or a number is not known; the message names file and line.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not a text file; estimates are a CSV: {HEADER}") from error
+    if not any(line.strip() for line in lines):
+        raise InputError(f"{path} is empty; even without estimates it begins with {HEADER}")
+    rows, places = [], []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or (number == 1 and line.replace(" ", "") == HEADER):
+            continue
+        place = Place(entry=f"line {number}")
+        cells = line.split(",")
+        if len(cells) != len(_COLUMNS):
+            raise InputError(
+                f"{path}, {place}: must have {len(_COLUMNS)} columns separated by commas "
+                f"({HEADER}), got {len(cells)}; the numbers of R and of t are separated by blanks"
+            )
+        rows.append(dict(zip(_COLUMNS, cells, strict=True)))
+        places.append(place)
+    if not rows:
+        return ()
+    poses = [{"R": row["R"].split(), "t": row["t"].split()} for row in rows]
+    T_cam_obj = read_transforms(poses, ("R", "t"), path, places)
+    rigid(T_cam_obj, lambda i: f"{path}, {places[i]}: field 'R'")
+    score, seconds = (
+        read_numbers(rows, name, 1, path, places, largest=math.inf)[:, 0]
+        for name in ("score", "time")
+    )
+    results = []
+    for i, row in enumerate(rows):
+        where = f"{path}, {places[i]}"
+        scene_id, image_id, obj_id = (
+            _integer(row[name], f"{where}: {name}") for name in ("scene_id", "im_id", "obj_id")
+        )
+        if images is not None:
+            _check_known(scene_id, images, f"{where}: scene_id", "scenes")
+            _check_known(image_id, images[scene_id], f"{where}: im_id", f"scene {scene_id}")
+        if obj_ids is not None:
+            _check_known(obj_id, obj_ids, f"{where}: obj_id", "objects")
+        numbers = scene_id, image_id, obj_id
+        results.append(BopResult(*numbers, float(score[i]), T_cam_obj[i], float(seconds[i])))
+    return tuple(results)
+
+
+def surest_of_each_target(
+    estimates: Iterable[tuple[BopResult, float]],
+) -> list[BopResult]:
+    """One estimate for each scene, picture and object, of many from different second views.
+
+    BOP asks once for an object in a picture. Of several answers the surest is given, as a robot
+    that has looked from several places would; truth has no say in it. The score cannot choose: it
+    is the detector's in the reference view, which all of them share.
+
+    Args:
+        estimates: each with its uncertainty (any unit, the less the surer). ``seconds`` are those
+            of the one estimate.
+
+    Returns:
+        In the order in which the targets come first; the first of equally sure ones. ``seconds``
+        are summed over the objects of a picture, which is what BOP's column ``time`` means.
+    """
+    best: dict[tuple[int, int, int], tuple[BopResult, float]] = {}
+    for result, uncertainty in estimates:
+        held = best.get(result.target)
+        if held is None or uncertainty < held[1]:
+            best[result.target] = result, uncertainty
+    seconds: dict[tuple[int, int], float] = {}
+    for result, _ in best.values():
+        picture = result.target[:2]
+        seconds[picture] = seconds.get(picture, 0.0) + result.seconds
+    return [replace(result, seconds=seconds[result.target[:2]]) for result, _ in best.values()]
+
+
+def _numbers(values: np.ndarray) -> str:
+    return " ".join(map(repr, values.ravel().tolist()))
+
+
+def _integer(value: str, where: str) -> int:
+    try:
+        return int(value)
+    except ValueError as error:
+        raise InputError(f"{where}: expected a whole number, got {value!r}") from error
+
+
+def _check_known(number: int, known: Collection[int], where: str, what: str) -> None:
+    if number not in known:
+        some = ", ".join(map(str, sorted(known)[:8])) + (", ..." if len(known) > 8 else "")
+        raise InputError(f"{where} {number} is not in the dataset, whose {what} has {some}")

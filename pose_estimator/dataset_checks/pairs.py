@@ -1,0 +1,204 @@
+"""Do pairs of views, and cameras in the world, agree with the poses of objects that stand still."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...core.geometry import invert
+from ..bop.fields import Place
+from ..bop.pairs import BopPair
+from ..bop.scene import Scene
+from .cameras import rigid_or_nan
+from .findings import Findings
+from .meshes import CheckedModel
+from .pose_mistakes import OPENGL
+
+STILL = 0.02
+"""Meters by which an object that stood still may be off, and a tenth of its diameter more."""
+
+Reading = tuple[str, str, Callable[[np.ndarray], np.ndarray]]
+
+
+def _scaled(factor: float) -> Callable[[np.ndarray], np.ndarray]:
+    def scale(T: np.ndarray) -> np.ndarray:
+        T = T.copy()
+        T[..., :3, 3] *= factor
+        return T
+
+    return scale
+
+
+_READINGS: tuple[Reading, ...] = (
+    ("it is inverted", "invert it", invert),
+    ("it is in meters; BOP has millimeters", "multiply translations by 1000", _scaled(1e3)),
+    ("it was multiplied by 1000 once too often", "divide translations by 1000", _scaled(1e-3)),
+    (
+        "it is inverted, and in meters", "invert it, and multiply translations by 1000",
+        lambda T: invert(_scaled(1e3)(T)),
+    ),
+)  # fmt: skip
+
+_PAIR_READINGS: tuple[Reading, ...] = (
+    *_READINGS,
+    (
+        "it is between OpenGL cameras (y up, z backward)",
+        "multiply it by diag(1, -1, -1, 1) from both sides", lambda T: OPENGL @ T @ OPENGL,
+    ),
+)  # fmt: skip
+
+_WORLD_READINGS: tuple[Reading, ...] = (
+    *_READINGS,
+    (
+        "its camera is OpenGL's (y up, z backward)",
+        "multiply it by diag(1, -1, -1, 1) from the left", lambda T: OPENGL @ T,
+    ),
+    (
+        "it is the pose of an OpenGL camera in the world",
+        "invert it, then multiply it by diag(1, -1, -1, 1) from the left",
+        lambda T: OPENGL @ invert(T),
+    ),
+)  # fmt: skip
+
+
+def check_pairs(
+    path: Path,
+    pairs: Mapping[int, BopPair],
+    scene: Scene,
+    models: Mapping[int, CheckedModel],
+    believed: np.ndarray,
+    findings: Findings,
+) -> None:
+    """Checks the pairs of one scene against the poses of their objects.
+
+    Args:
+        path: the file of pairs.
+        pairs: those of the scene, by their position in the file.
+        scene: the scene.
+        models: by number.
+        believed: bool (N,), which annotations can be relied on.
+        findings: are added to.
+    """
+    poses = _poses(scene, believed)
+    images = set(scene.image_id.tolist())
+    for number, pair in pairs.items():
+        first, second = pair.ref_image_id, pair.second_image_id
+        place = Place(scene.scene_id, first)
+        where = f"pair {number}, pictures {first} and {second}"
+        if lost := [i for i in (first, second) if i not in images]:
+            findings.error(
+                path, "image", "a pair names a picture that is not there", place=place,
+                detail=f"{where}: scene {pair.scene_id} has no picture {lost[0]}",
+                remedy="remove the pair, or restore the picture",
+            )  # fmt: skip
+            continue
+        T = pair.T_second_ref
+        if np.isnan(T).any():
+            continue
+        if not rigid_or_nan(T[None])[0]:
+            findings.error(
+                path, "T_second_ref", "is not a rigid motion", place=place,
+                detail=f"{where}: determinant {np.linalg.det(T[:3, :3]):.3f}",
+                remedy="give a rotation and a translation in millimeters",
+            )  # fmt: skip
+            continue
+        shown = [
+            (poses[first, o], poses[second, o], o)
+            for o in pair.obj_ids
+            if (first, o) in poses and (second, o) in poses
+        ]
+        if not shown:
+            continue
+        distance = _median_distance(T, shown, models)
+        if distance <= 1:
+            continue
+        cause, remedy = "it is another pair's, or the objects moved", "compute it anew"
+        for reason, cure, read in _PAIR_READINGS:
+            if _median_distance(read(T), shown, models) <= 1:
+                cause, remedy = reason, cure
+                break
+        findings.error(
+            path, "T_second_ref", "a pair disagrees with the poses of its objects", place=place,
+            detail=f"{where}: objects are {1e3 * STILL * distance:.0f} mm or more from where it "
+            "puts them", cause=cause, remedy=remedy,
+        )  # fmt: skip
+
+
+def _median_distance(
+    T: np.ndarray,
+    shown: Sequence[tuple[np.ndarray, np.ndarray, int]],
+    models: Mapping[int, CheckedModel],
+) -> float:
+    """How far objects are from where T puts them, in what they may be off."""
+    distances = []
+    for first, second, obj_id in shown:
+        model = models.get(obj_id)
+        equivalents = np.eye(4)[None] if model is None else model.equivalents
+        size = 0.0 if model is None or np.isnan(model.measured) else model.measured
+        away = (T @ first @ equivalents)[:, :3, 3] - second[:3, 3]
+        distances.append(np.linalg.norm(away, axis=1).min() / (STILL + 0.1 * size))
+    return float(np.median(distances))
+
+
+def check_world(scene: Scene, believed: np.ndarray, findings: Findings) -> None:
+    """Whether objects stand still in the world that the cameras of a scene say they are in.
+
+    Args:
+        scene: the scene.
+        believed: bool (N,), which annotations can be relied on.
+        findings: are added to.
+    """
+    known = ~np.isnan(scene.T_cam_world).any(axis=(1, 2)) & rigid_or_nan(scene.T_cam_world)
+    if known.sum() < 2:
+        return
+    world = dict(zip(scene.image_id[known].tolist(), scene.T_cam_world[known], strict=True))
+    poses: dict[int, list[tuple[int, np.ndarray]]] = {}
+    for (image_id, obj_id), T in _poses(scene, believed).items():
+        if image_id in world:
+            poses.setdefault(obj_id, []).append((image_id, T))
+    tracks = [track for track in poses.values() if len(track) > 1]
+    if not tracks or _moving(tracks, world, lambda T: T) < 0.5:
+        return
+    cause, remedy = (
+        "the objects moved, or world and object poses are of different recordings",
+        "leave cam_R_w2c and cam_t_w2c out where objects move",
+    )
+    for reason, cure, read in _WORLD_READINGS:
+        if _moving(tracks, world, read) < 0.1:
+            cause, remedy = reason, cure
+            break
+    for image_id in world:
+        findings.error(
+            scene.camera_path, "cam_R_w2c, cam_t_w2c", "objects do not stand still in the world",
+            place=Place(scene.scene_id, image_id), cause=cause, remedy=remedy,
+            detail="world to camera, then camera to object, must be one place in all pictures",
+        )  # fmt: skip
+
+
+def _moving(
+    tracks: Sequence[Sequence[tuple[int, np.ndarray]]],
+    world: Mapping[int, np.ndarray],
+    read: Callable[[np.ndarray], np.ndarray],
+) -> float:
+    """Share of the poses that are not where their object is in most pictures."""
+    off = []
+    for track in tracks:
+        places = np.stack([(invert(read(world[i])) @ T)[:3, 3] for i, T in track])
+        distance = np.linalg.norm(places - np.median(places, axis=0), axis=1)
+        off += (distance > STILL).tolist()
+    return float(np.mean(off))
+
+
+def _poses(scene: Scene, believed: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
+    """(image id, obj_id) -> pose, of objects that are in a picture once."""
+    rows = scene.annotations
+    found: dict[tuple[int, int], np.ndarray] = {}
+    twice = set()
+    for row, key in enumerate(zip(rows.image_id.tolist(), rows.obj_id.tolist(), strict=True)):
+        if key in found:
+            twice.add(key)
+        if believed[row]:
+            found[key] = rows.T_cam_obj[row]
+    return {key: T for key, T in found.items() if key not in twice}

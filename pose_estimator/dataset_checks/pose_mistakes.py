@@ -1,0 +1,152 @@
+"""The mistakes that poses and cameras are written down with, each with what undoes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...core.geometry import invert, make_transform
+
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+"""OpenGL's camera (y up, z backward) to OpenCV's (y down, z forward)."""
+
+RESOLUTIONS = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 0.8, 1.25, 4 / 3, 1.5, 2.0, 3.0, 4.0)
+"""Ratios between the picture sizes that one camera is used at."""
+
+ORIGINS = (0.35, 0.65)
+"""Where, in shares of the picture's sides, a corrected principal point must lie."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """One way to read a pose and a camera matrix otherwise than they are written.
+
+    Attributes:
+        name: short, the same for all poses.
+        field: what is written wrongly: of scene_gt.json, or ``cam_K`` of scene_camera.json.
+        cause: what went wrong.
+        remedy: what to do.
+        T_cam_obj: the pose as it was probably meant, (4, 4), meters.
+        K: the camera matrix as it was probably meant, (3, 3).
+    """
+
+    name: str
+    field: str
+    cause: str
+    remedy: str
+    T_cam_obj: np.ndarray
+    K: np.ndarray
+
+
+def _reordered(order: tuple[int, int, int, int]) -> Callable[[np.ndarray], np.ndarray]:
+    """Undoes a quaternion (x, y, z, w) whose parts were read in another order."""
+
+    def correct(T: np.ndarray) -> np.ndarray:
+        quaternion = Rotation.from_matrix(T[:3, :3]).as_quat()[list(order)]
+        return make_transform(Rotation.from_quat(quaternion).as_matrix(), T[:3, 3])
+
+    return correct
+
+
+_POSES: tuple[tuple[str, str, str, str, Callable[[np.ndarray], np.ndarray]], ...] = (
+    (
+        "opengl", "cam_R_m2c, cam_t_m2c",
+        "the camera's axes are OpenGL's or Blender's (y up, z backward); BOP has OpenCV's",
+        "multiply poses by diag(1, -1, -1, 1) from the left", lambda T: OPENGL @ T,
+    ),
+    (
+        "inverse", "cam_R_m2c, cam_t_m2c",
+        "the pose is inverted: it maps camera to object; BOP has object to camera (m2c)",
+        "invert poses: R transposed, and -R transposed times t", invert,
+    ),
+    (
+        "inverse of opengl", "cam_R_m2c, cam_t_m2c",
+        "the pose is that of an OpenGL camera in the object's frame (camera to object)",
+        "invert poses, then multiply them by diag(1, -1, -1, 1) from the left",
+        lambda T: OPENGL @ invert(T),
+    ),
+    (
+        "transposed", "cam_R_m2c",
+        "the rotation is transposed: written column by column, or of the inverse",
+        "transpose cam_R_m2c: BOP has it row by row",
+        lambda T: make_transform(T[:3, :3].T, T[:3, 3]),
+    ),
+    (
+        "quaternion wxyz", "cam_R_m2c",
+        "the rotation is of a quaternion in the order w, x, y, z that was read as x, y, z, w",
+        "build it anew: SciPy's from_quat takes x, y, z, w (or scalar_first=True)",
+        _reordered((1, 2, 3, 0)),
+    ),
+    (
+        "quaternion xyzw", "cam_R_m2c",
+        "the rotation is of a quaternion in the order x, y, z, w that was read as w, x, y, z",
+        "build it anew: put w first where the library wants it first", _reordered((3, 0, 1, 2)),
+    ),
+)  # fmt: skip
+
+_UNITS = (
+    ("", "", "", 1.0),
+    ("meters", "cam_t_m2c is in meters; BOP has millimeters", "multiply cam_t_m2c by 1000", 1e3),
+    (
+        "centimeters", "cam_t_m2c is in centimeters; BOP has millimeters",
+        "multiply cam_t_m2c by 10", 10.0,
+    ),
+    (
+        "twice millimeters", "cam_t_m2c was multiplied by 1000 once too often",
+        "divide cam_t_m2c by 1000", 1e-3,
+    ),
+)  # fmt: skip
+
+
+def corrections(T: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> Iterator[Correction]:
+    """All ways to read a pose and its camera otherwise, the simple ones first.
+
+    Args:
+        T: object to camera as written, (4, 4), meters.
+        K: camera matrix as written, (3, 3).
+        size: height and width of the picture.
+    """
+    for unit, cause, remedy, factor in _UNITS:
+        scaled = T.copy()
+        scaled[:3, 3] *= factor
+        if unit:
+            yield Correction(unit, "cam_t_m2c", cause, remedy, scaled, K)
+        for name, field, reason, cure, correct in _POSES:
+            yield Correction(
+                f"{unit} {name}".strip(),
+                field,
+                f"{cause}; and {reason}" if unit else reason,
+                f"{remedy}; {cure}" if unit else cure,
+                correct(scaled),
+                K,
+            )
+    for name, cause, remedy, matrix in _cameras(K, size):
+        yield Correction(name, "cam_K", cause, remedy, T, matrix)
+
+
+def _cameras(K: np.ndarray, size: tuple[int, int]) -> Iterator[tuple[str, str, str, np.ndarray]]:
+    """Other readings of a camera matrix that put the principal point near the middle."""
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    order = "write fx, 0, cx, 0, fy, cy, 0, 0, 1"
+    found = [
+        ("K swapped", "focal lengths and principal point are swapped", order, (cx, cy, fx, fy)),
+        ("K upright", "cx and cy are swapped, as after a turn by 90 degrees", order,
+         (fy, fx, cy, cx)),
+    ]  # fmt: skip
+    for factor in RESOLUTIONS:
+        found.append(
+            (
+                f"K times {factor:.3g}",
+                f"the camera matrix is that of pictures {1 / factor:.3g} times as large",
+                f"multiply fx, fy, cx and cy by {factor:.3g}",
+                (factor * fx, factor * fy, factor * cx, factor * cy),
+            )
+        )
+    height, width = size
+    for name, cause, remedy, (a, b, c, d) in found:
+        middle = all(ORIGINS[0] < x < ORIGINS[1] for x in (c / width, d / height))
+        if middle and min(a, b) > 0:
+            yield name, cause, remedy, np.array([[a, 0, c], [0, b, d], [0, 0, 1.0]])

@@ -1,0 +1,149 @@
+"""Do objects project onto their masks; and where not, which common mistake explains it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ...core.geometry import project, transform
+from ..bop.fields import Place
+from .findings import Findings
+from .meshes import CheckedModel
+from .pose_mistakes import Correction, corrections
+from .projection_score import Evidence
+
+GOOD, FAIR, POOR = 0.88, 0.7, 0.5
+"""Scores of `Evidence.score`: no question is asked, one is, it is an error whatever the cause."""
+
+EXPLAINS = 0.8
+"""Score from which on another reading of a pose explains it."""
+
+GAIN = 0.15
+"""By how much another reading must be better than what is written."""
+
+SHARE = 0.3
+"""Share of a dataset's wrong projections that a cause must explain to be named at all."""
+
+SHIFTED = "shifted"
+MIN_SHIFTED = 3
+"""A single projection beside its mask is a wrong translation; several are shifted masks."""
+
+MIN_PIXELS = 60
+MIN_VISIBLE = 0.15
+"""Less of an object than that says nothing about its pose."""
+
+
+@dataclass(eq=False)
+class Projection:
+    """An annotation whose projection is looked at.
+
+    Attributes:
+        place: where it stands.
+        gt_path: its scene_gt.json.
+        camera_path: its scene_camera.json.
+        mask_path: its mask, or None.
+        picture: the picture's file.
+        model: the object.
+        T_cam_obj: as written, (4, 4), orthonormal.
+        K: as written, (3, 3).
+        evidence: what it should cover.
+        score: of the pose as written.
+        readings: other readings that explain it, with their scores.
+        cause: the reading that is believed.
+    """
+
+    place: Place
+    gt_path: Path
+    camera_path: Path
+    mask_path: Path | None
+    picture: Path
+    model: CheckedModel
+    T_cam_obj: np.ndarray
+    K: np.ndarray
+    evidence: Evidence
+    score: float = 0.0
+    readings: list[tuple[Correction, float]] = field(default_factory=list)
+    cause: Correction | None = None
+
+    def look(self) -> float:
+        """Measures the pose as written, and where that is not good every other reading."""
+        self.score = self.evidence.score(self.model, self.T_cam_obj, self.K)
+        if self.score < GOOD:
+            readings = [*corrections(self.T_cam_obj, self.K, self.evidence.shape), *self._shifted()]
+            for reading in readings:
+                score = self.evidence.score(self.model, reading.T_cam_obj, reading.K)
+                if score >= max(EXPLAINS, self.score + GAIN):
+                    self.readings.append((reading, score))
+        return self.score
+
+    def _shifted(self) -> list[Correction]:
+        """The projection where the mask is, if that is all that is wrong with it."""
+        visible = self.evidence.visibility
+        if np.isfinite(visible) and visible < 0.8:
+            return []
+        points = transform(self.T_cam_obj, self.model.vertices)
+        if not len(points) or points[:, 2].min() <= 0.01:
+            return []
+        pixels = project(points, self.K)
+        box = self.evidence.box
+        shift = (box[:2] + box[2:]) / 2 - (pixels.min(axis=0) + pixels.max(axis=0)) / 2
+        K = self.K.copy()
+        K[:2, 2] += shift
+        named = "pixels" if self.evidence.mask is not None else "bbox_visib"
+        return [
+            Correction(
+                SHIFTED, named, "the shape is right and its place is not: masks were shifted or "
+                "cropped, or cx and cy are of another crop",
+                "draw masks from the same pictures, or correct cx and cy", self.T_cam_obj, K,
+            )
+        ]  # fmt: skip
+
+
+def explain(suspects: Sequence[Projection]) -> list[Projection]:
+    """Chooses a cause for each wrong projection; returns the wrong ones.
+
+    One dataset is written by one program, so the cause that explains most of its wrong projections
+    is preferred in each. Projections that are merely not good are wrong if that cause explains them
+    much better.
+    """
+    wrong = [p for p in suspects if p.score < FAIR]
+    support = Counter(reading.name for p in wrong for reading, _ in p.readings)
+    believed = {name for name, count in support.items() if count >= SHARE * len(wrong)}
+    if support[SHIFTED] < MIN_SHIFTED:
+        believed.discard(SHIFTED)
+    for projection in suspects:
+        known = [(r, s) for r, s in projection.readings if r.name in believed]
+        if known:
+            best = max(score for _, score in known)
+            near = [reading for reading, score in known if score >= best - 0.1]
+            projection.cause = max(near, key=lambda reading: support[reading.name])
+    return [p for p in suspects if p.score < FAIR or p.cause is not None]
+
+
+def report(wrong: Sequence[Projection], findings: Findings) -> None:
+    """Adds a finding for each wrong projection."""
+    for projection in wrong:
+        masked = projection.mask_path is not None
+        problem = f"the object does not project onto its {'mask' if masked else 'box'}"
+        cause = projection.cause
+        file, name = projection.gt_path, cause.field if cause else "cam_R_m2c, cam_t_m2c"
+        if name == "cam_K":
+            file = projection.camera_path
+        elif name == "pixels" and projection.mask_path is not None:
+            file = projection.mask_path
+        elif name == "bbox_visib":
+            file = projection.gt_path.with_name("scene_gt_info.json")
+        add = findings.error if cause is not None or projection.score < POOR else findings.warning
+        detail = f"object {projection.model.obj_id} matches to {100 * projection.score:.0f} %"
+        if cause is not None:
+            better = next(s for r, s in projection.readings if r is cause)
+            detail += f", to {100 * better:.0f} % when corrected"
+        add(
+            file, name, problem, place=projection.place, detail=detail,
+            cause=cause.cause if cause else "pose, mask, camera or model are another's",
+            remedy=cause.remedy if cause else "look at the overlay (--out DIR) and annotate anew",
+        )  # fmt: skip

@@ -1,0 +1,207 @@
+"""Runs an estimator on pairs of images with known poses, in batches."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from functools import lru_cache
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from ...assets.object_model import ObjectModel
+from ...core.errors import InputError
+from ...core.geometry import View
+from ..bop.dataset import BopAnnotation, BopDataset, BopImage, BopPair, read_depth, read_rgb
+from ..bop.results import BopResult
+from ..fusion.batching import batch_size, estimate_all
+from ..types import PoseEstimate, Roi
+from .metrics import MeasuredObject, add_or_add_s, keypoint_distances
+from .oracle_rois import GroundTruthRois
+from .outcomes import Outcome
+
+
+class _Estimator(Protocol):
+    @property
+    def object_names(self) -> tuple[str, ...]: ...
+
+    # It is given regions of interest only where ``ground_truth_rois`` says so.
+    def estimate(
+        self, views: Sequence[View], object_name: str, rois: Sequence[Roi] | None = None
+    ) -> PoseEstimate: ...
+
+
+def target_pairs(
+    pairs: Sequence[BopPair],
+    objects: Mapping[str, ObjectModel],
+    targets: Container[tuple[int, int, int]] | None = None,
+    baselines: tuple[float, float] = (0.0, 180.0),
+) -> Iterator[tuple[BopPair, str]]:
+    """Every pair with an object to estimate: its target where it names one, else all it shows.
+
+    Args:
+        pairs: of a dataset.
+        objects: those that can be estimated.
+        targets: (scene_id, im_id, obj_id) of what counts where a pair names no target; None: all.
+        baselines: smallest and largest angle in degrees between the views, seen from the object.
+    """
+    names = {model.obj_id: name for name, model in objects.items()}
+    for pair in pairs:
+        wanted = pair.obj_ids if pair.target_obj_id is None else (pair.target_obj_id,)
+        for obj_id in wanted:
+            key = (pair.scene_id, pair.ref_image_id, obj_id)
+            counts = pair.target_obj_id is not None or targets is None or key in targets
+            if not baselines[0] <= baseline_at(pair, obj_id) <= baselines[1]:
+                continue
+            if obj_id in names and counts:
+                yield pair, names[obj_id]
+
+
+def baseline_at(pair: BopPair, obj_id: int) -> float:
+    """The angle in degrees at one object; that of the pair where it does not say."""
+    return float(pair.baselines_deg.get(obj_id, pair.baseline_deg))
+
+
+def evaluate_pairs(
+    estimator: _Estimator,
+    dataset: BopDataset,
+    pairs: Sequence[BopPair],
+    objects: Mapping[str, ObjectModel],
+    *,
+    views: int = 2,
+    depth: bool = False,
+    ground_truth_rois: GroundTruthRois | None = None,
+    surfaces: Mapping[str, MeasuredObject] | None = None,
+    targets: Container[tuple[int, int, int]] | None = None,
+    baselines: tuple[float, float] = (0.0, 180.0),
+    progress: bool = True,
+) -> list[Outcome]:
+    """Runs an estimator on pairs of views.
+
+    Args:
+        estimator: what to measure; it is given images, cameras and the object's name.
+        dataset: where the images and the true poses are.
+        pairs: see :func:`target_pairs`.
+        objects: the models.
+        views: 1 leaves the second view out.
+        depth: whether the estimator is given depth maps.
+        ground_truth_rois: for analyses only: makes the regions of interest that the estimator is
+            given. None leaves it to find the object.
+        surfaces: what errors are measured on, by the objects' names; None: ``objects``.
+        targets, baselines: see :func:`target_pairs`.
+        progress: whether to show a bar.
+
+    Returns:
+        One outcome for each pair and target that both images are annotated with.
+
+    Raises:
+        InputError: if ``depth`` is asked for and the dataset has none.
+    """
+    from tqdm import tqdm
+
+    cases = list(enumerate(target_pairs(pairs, objects, targets, baselines)))
+    scenes = lru_cache(maxsize=2)(dataset.scene)
+    size = batch_size(estimator)
+    outcomes = []
+    with tqdm(total=len(cases), desc="evaluating", unit="pair", disable=not progress) as bar:
+        for start in range(0, len(cases), size):
+            batch: list[AnnotatedPair] = []
+            requests: list[tuple[list[View], str]] = []
+            rois: list[list[Roi]] = []
+            for number, (pair, name) in cases[start : start + size]:
+                model = objects[name]
+                case = annotated_pair(pair, name, model.obj_id, scenes(pair.scene_id))
+                if case is None:
+                    continue
+                if depth and case.images[0].depth_path is None:
+                    raise InputError(
+                        f"scene {pair.scene_id} has no depth maps, which the estimator needs: "
+                        "generate the dataset again with --depth"
+                    )
+                given = read_views(case.images[:views], pair.T_second_ref, depth=depth)
+                batch.append(case)
+                requests.append((given, name))
+                if ground_truth_rois is not None:
+                    poses = [truth.T_cam_obj for truth in case.truths[:views]]
+                    rois.append(ground_truth_rois.make(poses, given, model.diameter, number))
+            began = time.perf_counter()
+            estimates = estimate_all(
+                estimator, requests, None if ground_truth_rois is None else rois
+            )
+            seconds = (time.perf_counter() - began) / max(1, len(requests))
+            for case, estimate in zip(batch, estimates, strict=True):
+                model = objects[case.name]
+                surface = (surfaces or objects).get(case.name, model)
+                outcomes.append(_outcome(case, estimate, model, surface, seconds))
+            bar.update(min(size, len(cases) - start))
+    return outcomes
+
+
+class AnnotatedPair(NamedTuple):
+    """An object in a pair of views: both images, the reference first, and its true poses."""
+
+    pair: BopPair
+    name: str
+    images: list[BopImage]
+    truths: list[BopAnnotation]
+
+
+def annotated_pair(
+    pair: BopPair, name: str, obj_id: int, scene: Mapping[int, BopImage]
+) -> AnnotatedPair | None:
+    """The images and true poses of a pair; None if an image is not annotated with the object."""
+    images = [scene[pair.ref_image_id], scene[pair.second_image_id]]
+    truths = [truth for image in images if (truth := image.annotation(obj_id)) is not None]
+    return AnnotatedPair(pair, name, images, truths) if len(truths) == len(images) else None
+
+
+def read_views(
+    images: Sequence[BopImage],
+    T_second_ref: np.ndarray,
+    *,
+    depth: bool,
+    read: Callable[[BopImage], np.ndarray] = read_rgb,
+) -> list[View]:
+    """What an estimator is given of a pair.
+
+    Args:
+        images: the reference and, unless the method looks at one view only, the second image.
+        T_second_ref: (4, 4) pose of the reference camera in the second one's frame.
+        depth: whether to read depth maps too.
+        read: reads the pixels, for callers that keep some.
+
+    Raises:
+        InputError: if depth is asked for and an image has none.
+    """
+    return [
+        View(read(image), image.K, T, read_depth(image) if depth else None)
+        for image, T in zip(images, (np.eye(4), T_second_ref), strict=False)
+    ]
+
+
+def _outcome(
+    case: AnnotatedPair,
+    estimate: PoseEstimate,
+    model: ObjectModel,
+    surface: MeasuredObject,
+    seconds: float,
+) -> Outcome:
+    """How far an estimate is off."""
+    pair, truth = case.pair, case.truths[0]
+    error = add_or_add_s(estimate.T_cam_obj, truth.T_cam_obj, surface) / surface.diameter
+    score = estimate.rois[0].score if estimate.rois else 1.0
+    row = (pair.scene_id, pair.ref_image_id, model.obj_id, score, estimate.T_cam_obj, seconds)
+    variance = np.trace(estimate.keypoint_covariance, axis1=1, axis2=2).mean()
+    distances = keypoint_distances(estimate.keypoints, truth.T_cam_obj, model)
+    return Outcome(
+        object_name=case.name,
+        error=float(error),
+        keypoint_distance=float(distances.mean()),
+        seconds=seconds,
+        baseline=baseline_at(pair, model.obj_id),
+        visibility=truth.visibility,
+        score=score,
+        gap=pair.gap,
+        estimate=BopResult(*row),
+        uncertainty=float(np.sqrt(variance)),
+    )

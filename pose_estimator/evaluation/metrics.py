@@ -1,0 +1,160 @@
+"""How far an estimated pose is from the true one.
+
+ADD is Hinterstoisser et al., ACCV 2012 (equation 4); ADD-S, for symmetric objects, is its nearest
+point form (equation 5), with the argument order of the BOP toolkit. A pose counts as correct when
+the error is below a tenth of the object's diameter.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+
+from ...assets.object_model import ObjectModel
+from ...core.errors import InputError
+from ...core.geometry import check_rigid, invert, transform
+from .nearest_points import NearestPoints
+
+CORRECT = 0.1
+"""ADD(-S) in diameters below which a pose counts as correct."""
+
+
+class MeasuredObject(Protocol):
+    """What ADD(-S) asks of an object.
+
+    Attributes:
+        name: what it is called.
+        points: (P, 3) in its own frame, meters.
+        diameter: meters.
+        symmetric: whether ADD-S is the measure.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def points(self) -> np.ndarray: ...
+    @property
+    def diameter(self) -> float: ...
+    @property
+    def symmetric(self) -> bool: ...
+    def __hash__(self) -> int: ...
+
+
+def add(T_est: np.ndarray, T_true: np.ndarray, points: np.ndarray) -> float:
+    """Mean distance between the points under the two poses (ADD).
+
+    Args:
+        T_est: estimated T_cam_obj, (4, 4).
+        T_true: true T_cam_obj, (4, 4).
+        points: model points in the object's frame, (P, 3), meters.
+
+    Returns:
+        ADD in meters.
+
+    Raises:
+        InputError: if a pose is not rigid or the points are not (P, 3) with P > 0.
+    """
+    T_est, T_true = _check_poses(T_est, T_true)
+    points = _check_points(points)
+    return float(_distances(transform(T_est, points), transform(T_true, points)).mean())
+
+
+def add_s(
+    T_est: np.ndarray,
+    T_true: np.ndarray,
+    points: np.ndarray,
+    *,
+    tree: NearestPoints | None = None,
+) -> float:
+    """Mean distance from each point under the true pose to the nearest under the estimate (ADD-S).
+
+    Args:
+        T_est: estimated T_cam_obj, (4, 4).
+        T_true: true T_cam_obj, (4, 4).
+        points: model points in the object's frame, (P, 3), meters.
+        tree: an index of ``points``, if the caller keeps one.
+
+    Returns:
+        ADD-S in meters.
+
+    Raises:
+        InputError: if a pose is not rigid or the points are not (P, 3) with P > 0.
+    """
+    T_est, T_true = _check_poses(T_est, T_true)
+    points = _check_points(points)
+    # Distances do not change under a rigid motion, so the search runs in the object's own frame
+    # (of the estimate), where one index serves every pose.
+    motion = invert(T_est) @ T_true
+    return (NearestPoints(points) if tree is None else tree).mean_distance(motion)
+
+
+def add_or_add_s(T_est: np.ndarray, T_true: np.ndarray, object_model: MeasuredObject) -> float:
+    """ADD(-S): ADD-S for a symmetric object and ADD for any other, in meters.
+
+    Args:
+        T_est: estimated T_cam_obj, (4, 4).
+        T_true: true T_cam_obj, (4, 4).
+        object_model: the object; its ``points`` are measured.
+
+    Raises:
+        InputError: if a pose is not rigid, or the object's surface is not known.
+    """
+    if not len(object_model.points):
+        raise InputError(
+            f"the surface of {object_model.name} is not stored with the weights, and ADD is taken "
+            "on it: use the object of a mesh file, or a dataset that has models"
+        )
+    if object_model.symmetric:
+        return add_s(T_est, T_true, object_model.points, tree=_surface_index(object_model))
+    return add(T_est, T_true, object_model.points)
+
+
+def nearest_symmetric_pose(
+    T_est: np.ndarray, T_true: np.ndarray, object_model: ObjectModel
+) -> np.ndarray:
+    """The symmetry-equivalent of ``T_true`` whose keypoints are nearest to the estimate's, (4, 4).
+
+    Raises:
+        InputError: if a pose is not rigid.
+    """
+    T_est, T_true = _check_poses(T_est, T_true)
+    candidates = T_true @ object_model.symmetries
+    estimated = transform(T_est, object_model.keypoints)
+    errors = [
+        _distances(estimated, transform(T, object_model.keypoints)).mean() for T in candidates
+    ]
+    return candidates[int(np.argmin(errors))]
+
+
+def keypoint_distances(keypoints: np.ndarray, T_true: np.ndarray, model: ObjectModel) -> np.ndarray:
+    """Distance (9,) in meters of estimated 3D keypoints (9, 3) from the true ones.
+
+    Of the poses that are equivalent to ``T_true`` under the object's symmetries, the one whose
+    keypoints are nearest in the mean counts.
+    """
+    distances = [
+        _distances(keypoints, transform(T_true @ S, model.keypoints)) for S in model.symmetries
+    ]
+    return min(distances, key=np.mean)
+
+
+@lru_cache(maxsize=128)
+def _surface_index(object_model: MeasuredObject) -> NearestPoints:
+    return NearestPoints(object_model.points)
+
+
+def _distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(a - b, axis=-1)
+
+
+def _check_poses(T_est: np.ndarray, T_true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return check_rigid(T_est, "T_est"), check_rigid(T_true, "T_true")
+
+
+def _check_points(points: np.ndarray) -> np.ndarray:
+    array = np.asarray(points, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
+        raise InputError(f"points must be (P, 3) with P > 0, got shape {array.shape}")
+    return array

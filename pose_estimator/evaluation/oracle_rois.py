@@ -1,0 +1,52 @@
+"""Ground-truth regions of interest: analyses that leave the detector out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.geometry import View
+from ..types import Roi, roi_of_pose
+
+NOISE = {"truth": (0.0, 0.0), "noisy": (0.04, 0.012)}
+"""Standard deviations of the center in meters, in depth and sideways, by the option's value."""
+
+
+@dataclass(frozen=True)
+class GroundTruthRois:
+    """Makes regions of interest from the true poses.
+
+    Attributes:
+        scale: side in diameters.
+        depth_noise: standard deviation of the center's depth, meters.
+        side_noise: the same sideways, meters.
+        seed: of the noise.
+    """
+
+    scale: float
+    depth_noise: float = 0.0
+    side_noise: float = 0.0
+    seed: int = 0
+
+    def make(
+        self, T_cam_obj: Sequence[np.ndarray], views: Sequence[View], diameter: float, number: int
+    ) -> list[Roi]:
+        """One region for each view.
+
+        Args:
+            T_cam_obj: the true pose in each view, (4, 4) each.
+            views: images and cameras.
+            diameter: of the object, meters.
+            number: of the pair; with the seed it determines the noise.
+        """
+        rng = np.random.default_rng([self.seed, number])
+        spread = (self.side_noise, self.side_noise, self.depth_noise)
+        moved = [T.copy() for T in T_cam_obj]
+        for T in moved:
+            T[:3, 3] += spread * rng.standard_normal(3)
+        return [
+            roi_of_pose(T, view.K, diameter, self.scale)
+            for T, view in zip(moved, views, strict=True)
+        ]

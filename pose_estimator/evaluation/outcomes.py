@@ -1,0 +1,121 @@
+"""The outcomes of an evaluation, pair by pair, and the results that summarize them.
+
+Where a file of poses is scored, there is an outcome for each target instead, without what only an
+estimator that runs here can tell: its keypoints and its time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InputError
+from ..bop.results import BopResult
+from .intervals import bootstrap_interval
+from .metrics import CORRECT
+
+_MEAN_QUANTILES = (0.025, 0.975)
+"""Those of ``intervals`` but for rounding, which the last digit of an interval would show."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One pair of views, estimated.
+
+    Attributes:
+        object_name: the target.
+        error: ADD, or ADD-S for symmetric objects, in diameters; infinite without an estimate.
+        keypoint_distance: mean distance of the 3D keypoints from the truth, m, where known.
+        seconds: that the estimate took, where known.
+        baseline: angle between the views as seen from the object, degrees; 0 for a single view.
+        visibility: of the target in the reference view, 0 to 1.
+        score: the detector's, in the reference view.
+        gap: frames between the views, where they are of one sequence.
+        estimate: the pose in the reference view, as result files have it.
+        uncertainty: standard deviation of the keypoints that the estimator claims, m.
+    """
+
+    object_name: str
+    error: float
+    keypoint_distance: float | None
+    seconds: float | None
+    baseline: float
+    visibility: float
+    score: float
+    gap: int | None = None
+    estimate: BopResult | None = None
+    uncertainty: float = 0.0
+
+
+def summarize(outcomes: Sequence[Outcome], tags: Mapping[str, Any], seed: int = 0) -> list[dict]:
+    """Records of the results file: each measure for each object, and the mean over the objects.
+
+    A measure that is not known of every outcome is left out.
+
+    Raises:
+        InputError: if there are no outcomes.
+    """
+    if not outcomes:
+        raise InputError("there is no pair of views with a target to evaluate")
+    rng = np.random.default_rng(seed)
+    names = list(dict.fromkeys(outcome.object_name for outcome in outcomes))
+    measures: dict[str, tuple[str, Callable[[Outcome], Any]]] = {
+        "add_s_recall": ("", lambda o: float(o.error < CORRECT)),
+        "add_over_diameter": ("", lambda o: min(o.error, 1.0)),
+    }
+    if all(o.keypoint_distance is not None for o in outcomes):
+        measures["keypoint_distance"] = ("m", lambda o: o.keypoint_distance)
+    records: list[dict] = []
+    for metric, (unit, measure) in measures.items():
+        groups = [np.array([measure(o) for o in outcomes if o.object_name == n]) for n in names]
+        rows = [
+            (name, values.mean(), bootstrap_interval([values], rng), len(values))
+            for name, values in zip(names, groups, strict=True)
+        ]
+        mean = np.mean([values.mean() for values in groups])
+        rows.append(("mean", mean, bootstrap_interval(groups, rng, _MEAN_QUANTILES), len(outcomes)))
+        records += [
+            {"metric": metric, "value": float(value), "unit": unit, "object": name,
+             "low": low, "high": high, "n": n, **tags}
+            for name, value, (low, high), n in rows
+        ]  # fmt: skip
+    times = [o.seconds for o in outcomes if o.seconds is not None]
+    if len(times) == len(outcomes):
+        seconds = float(np.median(times))
+        records.append({"metric": "seconds_per_pair", "value": seconds, "unit": "s", **tags})
+    return records
+
+
+def print_table(records: Sequence[Mapping[str, Any]], title: str, counted: str = "pairs") -> None:
+    """Prints the results of :func:`summarize` for people; ``counted`` says of what they are."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title)
+    keypoints = any(record["metric"] == "keypoint_distance" for record in records)
+    columns = ["object", "ADD(-S) < 0.1 d", "95 %", "ADD / d", *["keypoints"] * keypoints, counted]
+    for column in columns:
+        table.add_column(column, justify="left" if column == "object" else "right")
+    cells: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for record in records:
+        if "object" in record:
+            cells.setdefault(str(record["object"]), {})[str(record["metric"])] = record
+    for name, row in cells.items():
+        recall = row["add_s_recall"]
+        cells_of_row = [
+            name,
+            f"{100 * recall['value']:.1f} %",
+            f"{100 * recall['low']:.0f} to {100 * recall['high']:.0f}",
+            f"{row['add_over_diameter']['value']:.3f}",
+        ]
+        if keypoints:
+            cells_of_row.append(f"{1000 * row['keypoint_distance']['value']:.1f} mm")
+        cells_of_row.append(str(recall["n"]))
+        table.add_row(*cells_of_row, style="bold" if name == "mean" else None)
+    Console().print(table)
+    for record in records:
+        if record["metric"] == "seconds_per_pair":
+            print(f"{1000 * record['value']:.0f} ms a pair (median)")

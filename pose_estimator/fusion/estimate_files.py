@@ -1,0 +1,191 @@
+"""The command ``estimate``: the pose of an object in a user's own photographs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from PIL import Image
+
+from ...core.device import check_device
+from ...core.errors import InputError
+from ...core.files import write_atomically
+from ...core.geometry import LINEMOD_K, View, check_intrinsics, check_rigid
+from ...core.images import read_image
+from ...core.results import write_results
+from ..input_files import read_depth_map, read_matrix
+
+if TYPE_CHECKING:
+    from ..types import PoseEstimate
+
+
+@dataclass(frozen=True)
+class EstimateConfig:
+    """The pose of a known object from two photographs (or one) taken by a calibrated camera.
+
+    The pose is that of the object in the camera of the reference photograph: OpenCV axes (x right,
+    y down, z forward), meters.
+    """
+
+    reference: Path
+    """The first photograph."""
+    object: str
+    """Name of the object, as the weights know it."""
+    K: str
+    """Camera matrix of both photographs in pixels: fx,fy,cx,cy or a file (.json, .txt, .npy) with
+    the 3x3 matrix, or `linemod` for LineMOD's camera."""
+    second: Path | None = None
+    """The second photograph; without it the answer is that of one view."""
+    relative_pose: Path | None = None
+    """File (.json, .txt, .npy) with the 4x4 matrix T_second_reference in meters: it maps points in
+    the reference camera's frame to the second camera's frame."""
+    method: str = "mid"
+    """Estimator: `mid`, `early`, `late` (two views), `single`, or `rgbd` (which needs --depth)."""
+    depth: Path | None = None
+    """Depth map of the reference photograph for `rgbd`, aligned with it: a 16-bit PNG or TIFF, or a
+    .npy; 0 where the sensor saw nothing."""
+    depth_unit: float | None = None
+    """Meters that one step of the depth map means; none = 0.001 for whole numbers, 1 for others."""
+    weights: str = "linemod"
+    """Name of shipped weights, or a file."""
+    device: str = "auto"
+    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
+    `cuda:N` or `mps`."""
+    out: Path = Path("pose.json")
+    """Where the pose goes."""
+    overlay: Path | None = Path("overlay.png")
+    """Where the photographs with the model's outline go."""
+    json: Path | None = None
+    """Results file with the scores and the time taken."""
+
+
+def parse_intrinsics(text: str) -> np.ndarray:
+    """The camera matrix (3, 3) that ``--K`` stands for.
+
+    Raises:
+        InputError: if it stands for none.
+        FileNotFoundError: if it names a file that does not exist.
+    """
+    if text == "linemod":
+        return np.array(LINEMOD_K)
+    parts = text.split(",")
+    if len(parts) == 4:
+        try:
+            fx, fy, cx, cy = map(float, parts)
+        except ValueError as error:
+            raise InputError(f"K must be four numbers fx,fy,cx,cy, got {text!r}") from error
+        return check_intrinsics(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]))
+    path = Path(text)
+    if not path.exists():
+        raise FileNotFoundError(
+            f"K must be fx,fy,cx,cy, 'linemod' or a file with a 3x3 matrix; "
+            f"{text!r} is neither and no such file exists"
+        )
+    return check_intrinsics(read_matrix(path, "K", ("K", "cam_K")))
+
+
+def read_views(config: EstimateConfig) -> list[View]:
+    """The photographs with their cameras; the world is the reference camera's frame.
+
+    Raises:
+        FileNotFoundError: if a file is missing.
+        InputError: if an input is malformed or the inputs disagree.
+    """
+    if (config.second is None) != (config.relative_pose is None):
+        raise InputError("second and relative_pose go together: give both, or neither for one view")
+    if (config.method == "rgbd") != (config.depth is not None):
+        raise InputError(
+            "depth and the method rgbd go together: rgbd needs a depth map of the reference "
+            f"photograph, and no other method looks at one (method is {config.method})"
+        )
+    K = parse_intrinsics(config.K)
+    depth = None if config.depth is None else read_depth_map(config.depth, config.depth_unit)
+    views = [View(read_image(config.reference), K, np.eye(4), depth)]
+    if config.second is not None and config.relative_pose is not None:
+        image = read_image(config.second)
+        if image.shape != views[0].image.shape:
+            sizes = [f"{a.shape[1]}x{a.shape[0]}" for a in (views[0].image, image)]
+            raise InputError(
+                "reference and second must be of one size, since K holds for both: "
+                f"reference is {sizes[0]}, second is {sizes[1]}"
+            )
+        T = read_matrix(config.relative_pose, "relative_pose", ("T_second_reference",))
+        views.append(View(image, K, check_rigid(T, "relative_pose")))
+    height, width = views[0].image.shape[:2]
+    if not (0 <= K[0, 2] < width and 0 <= K[1, 2] < height):
+        raise InputError(
+            f"K has its principal point at ({K[0, 2]:g}, {K[1, 2]:g}), outside the {width}x{height}"
+            " photographs; was it made for another size?"
+        )
+    return views
+
+
+def describe(answer: PoseEstimate, config: EstimateConfig) -> dict[str, Any]:
+    """What ``--out`` holds, in plain values."""
+    deviation = np.sqrt(np.trace(answer.keypoint_covariance, axis1=1, axis2=2))
+    return {
+        "object": config.object,
+        "method": config.method,
+        "T_cam_obj": answer.T_cam_obj.tolist(),
+        "keypoints_m": answer.keypoints.tolist(),
+        "keypoint_deviation_m": deviation.tolist(),
+        "regions": [
+            {"center": [float(x) for x in roi.center], "side": float(roi.side), "score": roi.score}
+            for roi in answer.rois
+        ],
+    }
+
+
+def estimate_files(config: EstimateConfig) -> None:
+    """Estimates, prints and writes the pose, and draws it over the photographs.
+
+    Raises:
+        FileNotFoundError: if a file is missing.
+        InputError: if an input is wrong; the message names it.
+    """
+    check_device(config.device)
+    views = read_views(config)
+    # After the inputs are known to be good: this imports torch.
+    from ..visualization import ESTIMATE_COLOR, draw_poses
+    from .loading import load
+
+    estimator = load(config.method, config.weights, device=config.device)
+    started = perf_counter()
+    answer = estimator.estimate(views, config.object)
+    seconds = perf_counter() - started
+
+    found = describe(answer, config)
+    found["T_cam_obj"] = [[round(x, 9) for x in row] for row in found["T_cam_obj"]]
+    write_atomically(config.out, (json.dumps(found, indent=1) + "\n").encode())
+    x, y, z = answer.T_cam_obj[:3, 3]
+    print(f"{config.object} at x {x:+.4f}, y {y:+.4f}, z {z:+.4f} m in the reference camera")
+    print(
+        f"keypoints uncertain by {1e3 * np.mean(found['keypoint_deviation_m']):.1f} mm on average"
+    )
+    print(f"pose: {config.out}")
+    if config.overlay is not None:
+        model = estimator.networks.objects[config.object]
+        images = [
+            draw_poses(
+                view.image, model, {ESTIMATE_COLOR: view.T_cam_world @ answer.T_cam_obj}, view.K
+            )
+            for view in views
+        ]
+        config.overlay.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.hstack(images)).save(config.overlay)
+        print(f"overlay: {config.overlay}")
+    if config.json is not None:
+        tags = {"object": config.object, "method": config.method}
+        records: list[dict[str, Any]] = [
+            {"metric": "seconds_per_pair", "value": seconds, "unit": "s", **tags},
+            *(
+                {"metric": "detection_score", "value": roi.score, "unit": "1", "view": i, **tags}
+                for i, roi in enumerate(answer.rois)
+            ),
+        ]
+        command = f"estimate --object {config.object} --method {config.method}"
+        write_results(config.json, records, command=command, seed=None)

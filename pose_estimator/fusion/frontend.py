@@ -1,0 +1,279 @@
+"""From a full frame to 2D keypoints: detect, crop, features, votes. All methods begin here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ...core.geometry import View, crop_matrix, grid_matrix, rotation_matrix_2d
+from ...core.image_crop import warp_crop
+from ..networks.container import PoseNetworks
+from ..networks.detector import decode, decode_peaks, detector_input
+from ..networks.inference import EncodedCrop, Inference
+from ..types import Roi
+from .joint_detection import associate_detections, refine_roi_scales
+from .lru_cache import LruCache
+
+_MIN_CACHED_VIEWS = 4
+"""Views that are remembered at least."""
+
+_ROLLS = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5)
+"""Rotations in radians of the crops that are tried where the upright one is not confident."""
+
+_CONFIDENT_SCORE = 0.85
+"""Share of agreeing votes from which on an upright crop is taken as it is."""
+
+_MIN_SCORE_GAIN = 0.03
+"""How much higher the score of a rotated crop must be to be taken instead."""
+
+_LOG_SCALE_TOLERANCE = 0.08
+"""Logarithm of the ratio of two regions' sides up to which no new crop is made."""
+
+_MIN_MERGED_VARIANCE = 0.3
+"""Variance in grid pixels that several crops' votes are given at least when they are averaged."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EncodedView(EncodedCrop):
+    """One view of one object after the 2D part.
+
+    Attributes:
+        view: the image and its camera.
+        roi: where the object was found.
+        K_grid: (3, 3) camera whose pixels are those of the feature grid.
+        to_image: (3, 3) affine map from the feature grid to pixels of the image.
+        roll: rotation of the crop in the image plane, radians.
+    """
+
+    view: View
+    roi: Roi
+    K_grid: np.ndarray
+    to_image: np.ndarray
+    roll: float = 0.0
+
+    @property
+    def pixels(self) -> np.ndarray:
+        """Voted keypoints in pixels of the image, (9, 2)."""
+        return self.vote_mean @ self.to_image[:2, :2].T + self.to_image[:2, 2]
+
+    @property
+    def pixel_covariance(self) -> np.ndarray:
+        """Covariances of ``pixels``, (9, 2, 2)."""
+        A = self.to_image[:2, :2]
+        return A @ self.vote_covariance @ A.T
+
+
+class DetectorMaps(NamedTuple):
+    """The detector's answer for one frame.
+
+    Attributes:
+        logits: (N, 30, 40) of each object's heat map.
+        regression: (N, 3, 30, 40), see ``Detector.forward``.
+        to_image: (3, 3), from the detector's input to pixels of the image.
+    """
+
+    logits: np.ndarray
+    regression: np.ndarray
+    to_image: np.ndarray
+
+
+class Target(NamedTuple):
+    """An object to be found in a view.
+
+    Attributes:
+        view: image and camera.
+        obj: which object, in the networks' order.
+        roi: where it is; None: where the detector says.
+    """
+
+    view: View
+    obj: int
+    roi: Roi | None = None
+
+
+class Frontend:
+    """Runs the 2D networks; remembers the views used last, so that a reference is encoded once.
+
+    Args:
+        networks: in evaluation mode.
+        inference: runs them; None: with as many threads as there are cores.
+    """
+
+    def __init__(self, networks: PoseNetworks, inference: Inference | None = None) -> None:
+        self.networks = networks
+        self.encoded: LruCache[EncodedView] = LruCache(_MIN_CACHED_VIEWS)
+        self.detected: LruCache[DetectorMaps] = LruCache(_MIN_CACHED_VIEWS)
+        self._inference = Inference(networks) if inference is None else inference
+
+    def encode(self, targets: Sequence[Target]) -> list[EncodedView]:
+        """Finds objects in views and votes for their keypoints.
+
+        The network is trained on cameras that are held about level. Where its votes do not agree,
+        the crop is rotated, and the rotation with the highest score is taken (test-time
+        augmentation).
+        """
+        self._remember(len(targets))
+        found: list[EncodedView | None] = [
+            self.encoded.get(t.view, t.obj) if t.roi is None else None for t in targets
+        ]
+        # A view that is asked for twice, as a reference of several pairs, is encoded once.
+        missing: dict[tuple[int, int, int], list[int]] = {}
+        for number, target in enumerate(targets):
+            if found[number] is None:
+                known = -1 if target.roi is None else number
+                missing.setdefault((id(target.view), target.obj, known), []).append(number)
+        first = [targets[numbers[0]] for numbers in missing.values()]
+        maps = iter(self.detector_maps([t.view for t in first if t.roi is None]))
+        located = [
+            t if t.roi is not None else t._replace(roi=self._best(next(maps), t.obj)) for t in first
+        ]
+        upright = self._best_rolls(located)
+        for numbers, encoded in zip(missing.values(), upright, strict=True):
+            for number in numbers:
+                found[number] = encoded
+            target = targets[numbers[0]]
+            if target.roi is None:
+                self.encoded.put(target.view, target.obj, encoded)
+        return [encoded for encoded in found if encoded is not None]
+
+    def regions(self, requests: Sequence[tuple[Sequence[View], int]]) -> list[list[Roi | None]]:
+        """Where objects are in several full frames each, found together.
+
+        Args:
+            requests: views, the reference first, whose cameras are known; and which object, in the
+                networks' order.
+
+        Returns:
+            For each request a region for each view; None where it is about the one that the
+            detector finds there alone.
+        """
+        every = [view for views, _ in requests for view in views]
+        self._remember(len(every))
+        maps = iter(self.detector_maps(every))
+        return [
+            self._regions(views, index, [next(maps) for _ in views]) for views, index in requests
+        ]
+
+    def detector_maps(self, views: Sequence[View]) -> list[DetectorMaps]:
+        """What the detector says of all objects in full frames; the last few are remembered."""
+        known = {id(view): self.detected.get(view) for view in views}
+        new = list({id(view): view for view in views if known[id(view)] is None}.values())
+        inputs = [detector_input(view.image, self.networks.detector.config) for view in new]
+        answers = self._inference.detect([small for small, _ in inputs])
+        for view, (_, to_image), answer in zip(new, inputs, answers, strict=True):
+            known[id(view)] = found = DetectorMaps(*answer, to_image)
+            self.detected.put(view, None, found)
+        return [maps for view in views if (maps := known[id(view)]) is not None]
+
+    def encode_rotated(
+        self, targets: Sequence[Target], rolls: Sequence[Sequence[float]]
+    ) -> list[list[EncodedView]]:
+        """Votes in several crops of each region.
+
+        Args:
+            targets: with their regions.
+            rolls: of each target: how far its crops are rotated in the image plane, radians.
+        """
+        config = self.networks.features.config
+        matrices = []
+        for target, own in zip(targets, rolls, strict=True):
+            assert target.roi is not None
+            upright = crop_matrix(target.roi.center, target.roi.side, config.crop)
+            matrices.append([rotation_matrix_2d(roll, config.crop) @ upright for roll in own])
+        crops = [
+            (np.stack([warp_crop(t.view.image, A, config.crop) for A in to_crops]), t.obj)
+            for t, to_crops in zip(targets, matrices, strict=True)
+        ]
+        found = self._inference.encode(crops)
+        return [
+            [self._encoded_view(target, *crop) for crop in zip(own, to_crops, encoded, strict=True)]
+            for target, own, to_crops, encoded in zip(targets, rolls, matrices, found, strict=True)
+        ]
+
+    def _remember(self, views: int) -> None:
+        """Makes room for what one call asks for."""
+        for cache in (self.encoded, self.detected):
+            cache.maxsize = max(cache.maxsize, 2 * views)
+
+    def _best(self, maps: DetectorMaps, index: int) -> Roi:
+        """The region of an object in one frame."""
+        return decode(
+            maps.logits[index], maps.regression[index], maps.to_image, self.networks.detector.config
+        )
+
+    def _regions(
+        self, views: Sequence[View], index: int, maps: Sequence[DetectorMaps]
+    ) -> list[Roi | None]:
+        config = self.networks.detector.config
+        model = list(self.networks.objects.values())[index]
+        candidates = [
+            decode_peaks(m.logits[index], m.regression[index], m.to_image, config) for m in maps
+        ]
+        scale = self.networks.features.config.roi_scale
+        chosen = associate_detections(candidates, views, model.diameter, scale)
+        found = [regions[number] for regions, number in zip(candidates, chosen, strict=True)]
+        sized = refine_roi_scales(found, views, model.diameter, scale)
+        return [
+            None if number == 0 and abs(np.log(new.side / old.side)) < _LOG_SCALE_TOLERANCE else new
+            for number, old, new in zip(chosen, found, sized, strict=True)
+        ]
+
+    def _best_rolls(self, targets: Sequence[Target]) -> list[EncodedView]:
+        """Encodes regions upright, and rotated where that makes the votes agree more."""
+        encoded = [only for [only] in self.encode_rotated(targets, [(0.0,)] * len(targets))]
+        doubtful = [n for n, e in enumerate(encoded) if e.vote_score.mean() < _CONFIDENT_SCORE]
+        tried = self.encode_rotated([targets[n] for n in doubtful], [_ROLLS] * len(doubtful))
+        for n, rotated in zip(doubtful, tried, strict=True):
+            best = max(rotated, key=lambda e: float(e.vote_score.mean()))
+            if best.vote_score.mean() > encoded[n].vote_score.mean() + _MIN_SCORE_GAIN:
+                encoded[n] = best
+        return encoded
+
+    def _encoded_view(
+        self, target: Target, roll: float, to_crop: np.ndarray, crop: EncodedCrop
+    ) -> EncodedView:
+        assert target.roi is not None
+        to_grid = grid_matrix(self.networks.features.config.stride) @ to_crop
+        return EncodedView(
+            **vars(crop),
+            view=target.view,
+            roi=target.roi,
+            K_grid=to_grid @ target.view.K,
+            to_image=np.linalg.inv(to_grid),
+            roll=roll,
+        )
+
+
+def merge_votes(
+    view: EncodedView, others: Sequence[EncodedView], permutations: np.ndarray
+) -> EncodedView:
+    """Averages the votes of several crops of one image, each keypoint by its covariances.
+
+    Args:
+        view: the crop whose grid and features the result keeps.
+        others: further crops of the same image.
+        permutations: (P, 9) the numberings that the object's symmetries allow; each of ``others``
+            takes the one that is nearest to ``view``.
+
+    Returns:
+        ``view`` with the votes of all. Their errors are those of one network on one image, not
+        independent ones, so the covariance is that of one crop.
+    """
+    means, covariances = [view.vote_mean], [view.vote_covariance]
+    for other in others:
+        A = np.linalg.inv(view.to_image) @ other.to_image
+        moved = (other.vote_mean @ A[:2, :2].T + A[:2, 2])[permutations]
+        best = int(np.linalg.norm(moved - view.vote_mean, axis=-1).sum(-1).argmin())
+        means.append(moved[best])
+        covariances.append(A[:2, :2] @ other.vote_covariance[permutations[best]] @ A[:2, :2].T)
+    precision = np.linalg.inv(np.stack(covariances) + _MIN_MERGED_VARIANCE * np.eye(2))
+    covariance = np.linalg.inv(precision.sum(0))
+    weighted = np.einsum("vkij,vkj->ki", precision, np.stack(means))
+    return replace(
+        view,
+        vote_mean=np.einsum("kij,kj->ki", covariance, weighted),
+        vote_covariance=len(means) * covariance,
+    )

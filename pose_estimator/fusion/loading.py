@@ -1,0 +1,75 @@
+"""Estimators with trained weights, by the name of their method."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ...core.errors import InputError
+from ..methods import find_method
+from ..networks.parts import OPTIONAL_PARTS
+
+if TYPE_CHECKING:
+    import torch
+
+    from .single import SingleViewEstimator
+
+
+def load(
+    method: str = "mid",
+    weights: str | Path = "linemod",
+    *,
+    preset: str | None = None,
+    solver: str = "soft",
+    device: str | torch.device = "auto",
+    threads: int = 0,
+) -> SingleViewEstimator:
+    """Loads an estimator with trained weights.
+
+    Args:
+        method: ``single`` (one view), ``early`` (a depth map from two views), ``late``
+            (triangulated votes), ``mid`` (Mid-Fusion of two views) or ``rgbd`` (one view and a
+            depth sensor).
+        weights: name of shipped weights, or a path to a ``.safetensors`` file.
+        preset: of the volumes, ``fast`` or ``paper``, where it has to be a certain one; None takes
+            what the weights were trained for.
+        solver: from 3D keypoints to the pose, one of ``solvers.SOLVERS``.
+        device: where the networks run: ``auto`` (a GPU where there is one), ``cpu``, ``cuda``,
+            ``cuda:N`` or ``mps``.
+        threads: how many threads of the processor an estimate may use; 0: all cores.
+
+    Returns:
+        An object with ``estimate(views, object_name)`` and ``object_names``.
+
+    Raises:
+        InputError: if the method, preset, solver or device is unknown, there is no such device,
+            threads is negative, or the weights are damaged, were trained for another preset, or
+            lack what the method needs.
+        FileNotFoundError: if there are no such weights.
+    """
+    chosen = find_method(method)
+    if threads < 0:
+        raise InputError(f"threads must be at least 0, got {threads}")
+    # These import torch, which the rest of the package must not do.
+    from ...core.device import resolve_device
+    from ..networks.volume import PRESETS
+    from ..networks.weights import load_networks
+
+    if preset is not None and preset not in PRESETS:
+        raise InputError(f"unknown preset {preset!r}; there are {', '.join(PRESETS)}")
+    networks = load_networks(weights, resolve_device(device))
+    if preset not in (None, networks.config.preset):
+        raise InputError(
+            f"the weights {str(weights)!r} were trained for the preset "
+            f"{networks.config.preset!r}, not {preset!r}. Train some that are: "
+            f"python -m two_view_pose train-estimator --preset {preset} --data DIR --out DIR"
+        )
+    for part in chosen.parts:
+        if part in OPTIONAL_PARTS and part not in networks.trained:
+            raise InputError(
+                f"the weights {str(weights)!r} lack what {method!r} needs, the trained part "
+                f"{part!r}. Add it, with a dataset that was generated with --depth: "
+                f"python -m two_view_pose train-estimator --stages {part} --init {weights} "
+                "--data DIR --out DIR"
+            )
+    return chosen.estimator_class()(networks, solver, threads=threads)

@@ -1,0 +1,128 @@
+"""Views of a symmetric object that mean different poses, made to mean the same one.
+
+Each view may have voted for another of the equivalent poses. A symmetry only renumbers the
+keypoints, so the numbering that triangulates best is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...assets.object_model import ObjectModel
+from ...core.geometry import invert, project, transform
+from ..solvers.multi_view_pnp import SpacePoints, multi_view_pnp
+from ..solvers.rigid import solve_pose
+from ..solvers.triangulation import triangulate
+from ..symmetry import keypoint_permutations
+from ..types import PoseEstimate
+from .frontend import EncodedView
+
+_OUTLIER_ERROR = 8.0
+"""Reprojection error in grid pixels from which a keypoint counts as plainly wrong."""
+
+_MAX_DEPTH_RATIO = 1.5
+"""Factor between the depths of a fused pose and of the one before it from which the fused one is
+not believed."""
+
+
+def resolve_symmetry_ambiguity(
+    encoded: Sequence[EncodedView], model: ObjectModel
+) -> tuple[list[EncodedView], np.ndarray]:
+    """Renumbers the votes of the further views to the pose that the reference view means.
+
+    Args:
+        encoded: two views or more, the reference first.
+        model: the object.
+
+    Returns:
+        The views, and the keypoints (9, 3) in the reference camera, in meters, as the reference and
+        the last view triangulate them.
+    """
+    permutations = keypoint_permutations(model.keypoints, model.symmetries)
+    reference = encoded[0]
+    T_ref_world = invert(reference.view.T_cam_world)
+    agreed, points = [reference], np.empty((0, 3))
+    for view in encoded[1:]:
+        best = np.inf
+        chosen = np.arange(len(model.keypoints))
+        Ks = [reference.K_grid, view.K_grid]
+        cameras = [reference.view.T_cam_world, view.view.T_cam_world]
+        for permutation in permutations:
+            means = np.stack([reference.vote_mean, view.vote_mean[permutation]])
+            covariances = np.stack([reference.vote_covariance, view.vote_covariance[permutation]])
+            candidate, _ = triangulate(means, covariances, Ks, cameras)
+            residual = 0.0
+            for K, camera, mean in zip(Ks, cameras, means, strict=True):
+                seen = transform(camera @ T_ref_world, candidate)
+                error = np.linalg.norm(project(seen, K) - mean, axis=1)
+                residual += float(np.minimum(error, _OUTLIER_ERROR).sum())
+            if residual < best:
+                best, chosen, points = residual, permutation, candidate
+        agreed.append(
+            replace(
+                view,
+                vote_mean=view.vote_mean[chosen],
+                vote_covariance=view.vote_covariance[chosen],
+                vote_score=view.vote_score[chosen],
+            )
+        )
+    return agreed, points
+
+
+def joint_pose(
+    encoded: Sequence[EncodedView], points: np.ndarray, model: ObjectModel, first: PoseEstimate
+) -> np.ndarray:
+    """The pose that explains the votes of all views, T_cam_obj (4, 4) in the reference camera.
+
+    It is found from ``first`` and from the pose of the triangulated keypoints. Triangulation alone
+    would not do: with a baseline of a few centimeters it is decimeters off.
+
+    Args:
+        encoded: the views, consistently labeled (see :func:`resolve_symmetry_ambiguity`).
+        points: triangulated keypoints (9, 3).
+        model: the object.
+        first: the best pose so far, which is also the answer where no pose explains the votes.
+    """
+    starts = [first.T_cam_obj, solve_pose(model.keypoints, points, model.diameter)]
+    T = fit_multi_view_pose(encoded, model, starts)
+    return T if depth_is_consistent(T, first, model) else first.T_cam_obj
+
+
+def depth_is_consistent(T_cam_obj: np.ndarray, first: PoseEstimate, model: ObjectModel) -> bool:
+    """Whether a fused pose has the object at a depth like that of the best pose before it.
+
+    Views that show different things, as where the detector was wrong in one of them, can be
+    explained together by an object that is meters away.
+    """
+    depth = float(transform(T_cam_obj, model.keypoints[-1])[2])
+    before = float(transform(first.T_cam_obj, model.keypoints[-1])[2])
+    return bool(before / _MAX_DEPTH_RATIO < depth < before * _MAX_DEPTH_RATIO)
+
+
+def fit_multi_view_pose(
+    encoded: Sequence[EncodedView],
+    model: ObjectModel,
+    starts: Sequence[np.ndarray],
+    points: SpacePoints | None = None,
+) -> np.ndarray:
+    """The pose (4, 4) that best explains votes, and points in space if there are any.
+
+    Args:
+        encoded: the views, the reference first, consistently labeled (see
+            :func:`resolve_symmetry_ambiguity`).
+        model: the object.
+        starts: poses in the reference camera from which it is sought.
+        points: the keypoints as a fusion found them.
+    """
+    return multi_view_pnp(
+        model.keypoints,
+        np.stack([e.vote_mean for e in encoded]),
+        np.stack([e.vote_covariance for e in encoded]),
+        [e.K_grid for e in encoded],
+        [e.view.T_cam_world for e in encoded],
+        starts,
+        points,
+    ).T_cam_obj

@@ -1,0 +1,259 @@
+"""The networks as estimators run them: lists in, lists out.
+
+On a processor every item of a list (a frame, a few crops of a view, a volume) is a batch of its
+own, which one thread takes through the whole network on one core (``thread_pools.py``); one that is
+alone may have more, where the result is the same. Other batches and other numbers of threads would
+round in another order: this way an answer is the same to the bit whatever else is in the list and
+whatever else the machine does. On a GPU a list is one batch, and answers depend on it as far as
+rounding goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.utils._pytree import tree_leaves
+
+from ...core.cpu_cores import available_cores, idle_cores
+from ...core.device import uses_bfloat16
+from ...core.thread_pools import shared_pool
+from .container import PoseNetworks
+from .fused import fused
+from .volume import ViewMaps
+from .voting import vote
+
+_CROPS = 3
+"""Crops of a view that a core takes at once: with fewer it is slower for each, with more hardly
+quicker, and other cores have nothing to do."""
+
+_GPU_ITEMS = 64
+"""Items of a batch on a GPU: enough to fill it, and a bound on its memory."""
+
+_Item = TypeVar("_Item")
+_Answer = TypeVar("_Answer")
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedCrop:
+    """What a crop shows of an object.
+
+    Attributes:
+        volume: features for the volume, (C, G, G).
+        decoder: the 2D network's last map, (W, G, G).
+        maps: the encoder's maps at strides 2 to 32, (C, S, S) each.
+        vote_mean: voted keypoints, (9, 2), pixels of the feature grid.
+        vote_covariance: theirs, (9, 2, 2).
+        vote_score: share of the object's pixels that agree, 0 to 1, (9,).
+        mask: probability of the visible object, (G, G).
+    """
+
+    volume: Tensor
+    decoder: Tensor
+    maps: tuple[Tensor, ...]
+    vote_mean: np.ndarray
+    vote_covariance: np.ndarray
+    vote_score: np.ndarray
+    mask: np.ndarray
+
+
+class Inference:
+    """Runs one set of networks.
+
+    Args:
+        networks: in evaluation mode, on the device that is to be used. Their weights are read when
+            they are first run.
+        threads: of the processor; 0: as many as there are cores. On a GPU they are not used.
+    """
+
+    def __init__(self, networks: PoseNetworks, threads: int = 0) -> None:
+        self.networks = networks
+        self.device = networks.device
+        self.bfloat16 = uses_bfloat16(self.device)
+        self.threads = threads or available_cores()
+        self._fused_modules: dict[str, tuple[nn.Module, nn.Module]] = {}
+        self._same_on: dict[tuple[Hashable, int], bool] = {}
+
+    def detect(self, frames: Sequence[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Where might objects be?
+
+        Args:
+            frames: the detector's inputs, (240, 320, 3) uint8 each.
+
+        Returns:
+            For each the heat map and regression of all objects, (N, 30, 40) and (N, 3, 30, 40)
+            float32; see ``Detector.forward``.
+        """
+        network = self.network("detector")
+
+        def detect(frames: Sequence[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+            logits, regression = (
+                part.float().cpu().numpy() for part in network(self._images(frames))
+            )
+            return list(zip(logits, regression, strict=True))
+
+        return self.in_batches(detect, frames, kind="frame")
+
+    def encode(self, crops: Sequence[tuple[np.ndarray, int]]) -> list[list[EncodedCrop]]:
+        """What do crops show of objects?
+
+        Args:
+            crops: of each view (n, S, S, 3) uint8, and which object is asked for, in the networks'
+                order.
+
+        Returns:
+            For each view what each crop shows; maps stay on the device.
+        """
+        network = self.network("features")
+        parts = [
+            (own[start : start + _CROPS], index)
+            for own, index in crops
+            for start in range(0, len(own), _CROPS)
+        ]
+
+        def encode(crops: Sequence[tuple[np.ndarray, int]]) -> list[list[EncodedCrop]]:
+            pyramid = network.encoder.pyramid(self._images([c for own, _ in crops for c in own]))
+            objects = [index for own, index in crops for _ in own]
+            features = network.decode(pyramid, torch.tensor(objects, device=self.device))
+            volume = features.volume.float()
+            mean, covariance, score = (as_array(part) for part in vote(features))
+            mask = torch.sigmoid(features.mask_logits.float()).cpu().numpy()
+            levels = zip(*pyramid, strict=True)
+            found = map(
+                EncodedCrop, volume, features.decoder, levels, mean, covariance, score, mask
+            )
+            return [list(islice(found, len(own))) for own, _ in crops]
+
+        kind = ("crops", len(parts[0][0])) if len(parts) == 1 else None
+        encoded = (crop for part in self.in_batches(encode, parts, kind=kind) for crop in part)
+        return [list(islice(encoded, len(own))) for own, _ in crops]
+
+    def fuse(
+        self, volumes: Sequence[tuple[ViewMaps, np.ndarray, float]]
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Where are keypoints in volumes?
+
+        Args:
+            volumes: what the views bring (a batch of one), the guess of the object's center in the
+                reference camera, (3,) m, and its diameter, m.
+
+        Returns:
+            For each the fine level's keypoints (9, 3) in the reference camera, m, and their
+            covariances (9, 3, 3), m^2.
+        """
+        network = self.network("volume")
+
+        def fuse(
+            volumes: Sequence[tuple[ViewMaps, np.ndarray, float]],
+        ) -> list[tuple[np.ndarray, np.ndarray]]:
+            maps, guesses, diameters = zip(*volumes, strict=True)
+            fine = network(
+                ViewMaps(*(torch.cat(part) for part in zip(*maps, strict=True))),
+                self.tensor(np.stack(guesses)),
+                self.tensor(np.array(diameters)),
+            )[-1]
+            return list(zip(as_array(fine.keypoints), as_array(fine.covariance), strict=True))
+
+        config = self.networks.volume.config
+        # Volumes whose voxels have a size of their own are as large as their object.
+        alike = None not in (config.coarse.cells, config.fine.cells)
+        return self.in_batches(
+            fuse, volumes, lambda volume: (volume[0].features.shape[1], 0 if alike else volume[2])
+        )
+
+    def in_batches(
+        self,
+        work: Callable[[Sequence[_Item]], list[_Answer]],
+        items: Sequence[_Item],
+        key: Callable[[_Item], Any] = lambda item: 0,
+        kind: Hashable = None,
+    ) -> list[_Answer]:
+        """Runs networks on a list, under autocast: item by item on a processor, else in batches.
+
+        Args:
+            work: answers a batch.
+            items: the list.
+            key: items of one batch have the same.
+            kind: what an item is that several cores may share if it is alone: what it runs, on
+                which shape; None: none may.
+
+        Returns:
+            The answers in the list's order.
+        """
+
+        @torch.inference_mode()
+        def run(batch: Sequence[_Item]) -> list[_Answer]:
+            with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16):
+                return work(batch)
+
+        if self.device.type == "cpu":
+
+            def run_one(item: _Item) -> _Answer:
+                return run([item])[0]
+
+            if len(items) == 1 and kind is not None:
+                return [self._on_idle_cores(run_one, items[0], kind)]
+            return list(shared_pool(self.threads).map(run_one, items))
+        groups: dict[Any, list[int]] = {}
+        for number, item in enumerate(items):
+            groups.setdefault(key(item), []).append(number)
+        answers: dict[int, _Answer] = {}
+        for numbers in groups.values():
+            for start in range(0, len(numbers), _GPU_ITEMS):
+                some = numbers[start : start + _GPU_ITEMS]
+                answers |= zip(some, run([items[n] for n in some]), strict=True)
+        return [answers[n] for n in range(len(items))]
+
+    def _on_idle_cores(
+        self, run: Callable[[_Item], _Answer], item: _Item, kind: Hashable
+    ) -> _Answer:
+        """One item on all cores that torch has in this thread, if that rounds as on one core does.
+
+        Whether it does, the first item of a kind shows, which is computed both ways.
+        """
+        cores = torch.get_num_threads()
+        pool = shared_pool(self.threads)
+        if not 1 < cores <= min(self.threads, idle_cores()):
+            return pool.submit(run, item).result()
+        if (kind, cores) not in self._same_on:
+            on_one = pool.submit(run, item).result()
+            self._same_on[kind, cores] = _identical(on_one, run(item))
+            return on_one
+        return run(item) if self._same_on[kind, cores] else pool.submit(run, item).result()
+
+    def tensor(self, array: np.ndarray) -> Tensor:
+        """An array as float32 on the networks' device."""
+        return torch.from_numpy(array).to(self.device, torch.float32)
+
+    def network(self, part: str) -> Any:
+        """A part of the networks as it runs quickest; made when it is first needed."""
+        module = getattr(self.networks, part)
+        if self.device.type != "cpu":
+            return module
+        known = self._fused_modules.get(part)
+        if known is None or known[0] is not module:
+            quick = fused(module, torch.bfloat16 if self.bfloat16 else torch.float32)
+            known = self._fused_modules[part] = module, quick
+        return known[1]
+
+    def _images(self, images: Sequence[np.ndarray]) -> Tensor:
+        """Images (H, W, 3) uint8 as a batch (B, 3, H, W) float32, channels last."""
+        batch = torch.from_numpy(np.stack(images)).to(self.device).permute(0, 3, 1, 2)
+        return batch.float().contiguous(memory_format=torch.channels_last)
+
+
+def _identical(one: Any, other: Any) -> bool:
+    """Whether two answers are the same to the bit."""
+    pairs = zip(tree_leaves(one), tree_leaves(other), strict=True)
+    # NumPy has no bfloat16.
+    return all(torch.equal(torch.as_tensor(a), torch.as_tensor(b)) for a, b in pairs)
+
+
+def as_array(tensor: Tensor) -> np.ndarray:
+    """A tensor as a float64 array."""
+    return tensor.double().cpu().numpy()

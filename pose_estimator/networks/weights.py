@@ -1,0 +1,199 @@
+"""Weights on disk: safetensors for the numbers, JSON for what they are."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import Tensor
+
+from ... import assets
+from ...assets.storage import read_object, save_object
+from ...core.errors import InputError
+from ...core.files import write_atomically
+from ...core.results import commit, versions
+from .container import NetworkConfig, PoseNetworks
+from .detector import DetectorConfig
+from .features import FeatureConfig
+from .parts import OPTIONAL_PARTS, PARTS
+from .quantization import pack, quantizable, unpack
+
+FORMAT = 3
+STORAGE = (
+    "weights of convolutions and linear layers: int8 with a bfloat16 scale for each output "
+    "channel; batch statistics: float32; all else, the encoders' first layers too: float16"
+)
+"""What a header says of how the numbers are stored."""
+
+SHIPPED = Path(assets.__file__).parent / "weights"
+"""Where the weights that come with the package lie."""
+
+
+def save_weights(
+    networks: PoseNetworks, path: str | Path, header: dict[str, Any], *, surfaces: bool = True
+) -> None:
+    """Writes weights in eight bits a number (see :func:`pack`), with their header beside them.
+
+    Of ``OPTIONAL_PARTS`` only those are written that have been trained. Objects that are not among
+    our thirteen are stored too, in a folder beside the header.
+
+    Args:
+        networks: what to save.
+        path: the ``.safetensors`` file; the header goes to ``.json`` beside it.
+        header: what the weights are: training data, measured accuracy. The objects, shapes, the
+            trained parts, versions and the commit are added.
+        surfaces: whether the meshes of objects that are not ours are stored; without, their
+            keypoints, symmetries and sizes are.
+
+    Raises:
+        InputError: if the networks hold NaN or infinite numbers.
+    """
+    path = Path(path)
+    tensors = pack(stored_state(networks), quantizable(networks))
+    objects: dict[str, dict[str, Any]] = {}
+    for name, model in networks.objects.items():
+        objects[name] = {"obj_id": model.obj_id, "diameter": model.diameter}
+        if name not in assets.OBJECT_NAMES or model is not assets.load_object(name):
+            # Weights for a user's objects must not depend on where their meshes once lay.
+            objects[name]["folder"] = f"{path.stem}_objects/{name}"
+            surface = surfaces and model.has_surface
+            save_object(model, path.parent / objects[name]["folder"], surface=surface)
+    full = {
+        "format": FORMAT,
+        "storage": STORAGE,
+        "objects": objects,
+        "networks": asdict(networks.config),
+        "trained": [part for part in PARTS if part in networks.trained],
+        "versions": versions(),
+        "commit": commit(),
+        **header,
+    }
+    write_atomically(path, save(tensors))
+    write_atomically(path.with_suffix(".json"), (json.dumps(full, indent=1) + "\n").encode())
+
+
+def read_header(path: str | Path) -> dict[str, Any]:
+    """The header of a weights file.
+
+    Raises:
+        FileNotFoundError: if it is missing.
+        InputError: if it cannot be read.
+    """
+    path = Path(path).with_suffix(".json")
+    if not path.is_file():
+        raise FileNotFoundError(f"weights header {path} is missing (it lies beside the weights)")
+    try:
+        header = json.loads(path.read_text())
+        if header["format"] != FORMAT:
+            raise InputError(
+                f"it has format {header['format']} and this version reads {FORMAT}; train "
+                "again with train-estimator, or use the version that made it"
+            )
+        return header
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"weights header {path} cannot be read: {error}") from error
+
+
+def find_weights(weights: str | Path) -> Path:
+    """The file of shipped weights by name, or of a user's weights by path.
+
+    Raises:
+        FileNotFoundError: naming the shipped weights there are.
+    """
+    path = Path(weights)
+    if path.suffix == ".safetensors":
+        if path.is_file():
+            return path
+        raise FileNotFoundError(f"weights file {path} does not exist")
+    shipped = SHIPPED / f"{weights}.safetensors"
+    if shipped.is_file():
+        return shipped
+    names = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.safetensors"))) or "none"
+    raise FileNotFoundError(
+        f"there are no weights named {str(weights)!r}; shipped weights: {names}. Give one of "
+        "these, a path to a .safetensors file, or train some: "
+        "python -m two_view_pose train-estimator --help"
+    )
+
+
+@lru_cache(maxsize=8)
+def _load_cached(path: Path, modified: int, device: torch.device) -> PoseNetworks:
+    return read_networks(path).to(device)
+
+
+def load_networks(
+    weights: str | Path = "linemod", device: torch.device = torch.device("cpu")
+) -> PoseNetworks:
+    """Networks in evaluation mode; those used last are shared by all who ask for them.
+
+    Raises:
+        FileNotFoundError, ValueError: see :func:`find_weights` and :func:`read_networks`.
+    """
+    path = find_weights(weights)
+    return _load_cached(path.resolve(), path.stat().st_mtime_ns, device).eval()
+
+
+def read_networks(path: str | Path) -> PoseNetworks:
+    """Builds the networks that a weights file describes. Runs no code from the file.
+
+    Objects that were stored with the weights are read from there; others are our thirteen. Optional
+    parts that were not trained keep their initial values.
+
+    Raises:
+        InputError: if the file is damaged, or does not fit its header.
+    """
+    path = Path(path)
+    header = read_header(path)
+    try:
+        shapes = header["networks"]
+        config = NetworkConfig(
+            detector=DetectorConfig(**shapes["detector"]),
+            features=FeatureConfig(**shapes["features"]),
+            preset=shapes["preset"],
+        )
+        objects = {
+            name: read_object(path.parent / entry["folder"])
+            if "folder" in entry
+            else assets.load_object(name)
+            for name, entry in header["objects"].items()
+        }
+        networks = PoseNetworks(objects, config)
+        networks.trained = frozenset(header["trained"])
+    except (AttributeError, KeyError, RuntimeError, TypeError) as error:
+        raise InputError(f"the header of {path} does not describe networks: {error}") from error
+    unknown = sorted(networks.trained.difference(PARTS))
+    if unknown:
+        raise InputError(
+            f"the header says that the parts {unknown} are trained; there are {', '.join(PARTS)}"
+        )
+    try:
+        tensors = unpack(load_file(path))
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InputError(f"weights file {path} is damaged: {error}") from error
+    if not all(torch.isfinite(tensor).all() for tensor in tensors.values()):
+        raise InputError(f"weights file {path} is damaged: it holds NaN or infinite numbers")
+    expected = stored_state(networks)
+    wrong = [n for n in expected if n not in tensors or tensors[n].shape != expected[n].shape]
+    if wrong or len(tensors) != len(expected):
+        raise InputError(
+            f"weights file {path} does not fit its header: "
+            f"{', '.join(wrong[:3]) or 'more tensors than the networks have'}"
+        )
+    networks.load_state_dict(tensors, strict=False)
+    return networks.eval()
+
+
+def stored_state(networks: PoseNetworks) -> dict[str, Tensor]:
+    """The tensors by name that weights of these networks hold."""
+    left_out = tuple(f"{part}." for part in OPTIONAL_PARTS if part not in networks.trained)
+    return {
+        name: value
+        for name, value in networks.state_dict().items()
+        if not name.endswith("num_batches_tracked") and not name.startswith(left_out)
+    }

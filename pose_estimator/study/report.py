@@ -1,0 +1,123 @@
+"""The study as one page, made from results.json and the pictures beside it."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from ...core.errors import InputError
+from ...core.files import write_atomically
+from ...core.results import read_results
+from .. import METHODS
+from . import published, report_tables
+from .figures import draw_charts
+
+TEMPLATE = "report.html.j2"
+
+_IMAGE_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
+
+
+def write_report(folder: Path) -> Path:
+    """Draws the charts and writes report.html.
+
+    Args:
+        folder: of the study; it holds results.json, and pictures in figures/.
+
+    Returns:
+        The page.
+
+    Raises:
+        InputError: if results.json is missing or broken.
+    """
+    results = folder / "results.json"
+    if not results.is_file():
+        raise InputError(f"{folder} holds no results.json; run compare without --report-only first")
+    document = read_results(results)
+    charts = draw_charts(document["records"], folder / "figures")
+    pictures = sorted((folder / "figures").glob("*.png"), key=_example_number)
+    target = folder / "report.html"
+    write_atomically(target, report_page(document, charts, pictures).encode())
+    return target
+
+
+def _example_number(path: Path) -> tuple[int, str]:
+    return int(path.stem.rsplit("_", 1)[-1]), path.stem
+
+
+def report_page(
+    document: Mapping[str, Any], charts: Mapping[str, Path], pictures: Sequence[Path]
+) -> str:
+    """The page of a results document: one self-contained file that needs no network.
+
+    Args:
+        document: see ``results``.
+        charts: SVG files by what they show, see :func:`~.study_figures.draw_charts`.
+        pictures: PNG files ``example_N.png`` and ``insides_N.png``.
+    """
+    records = document["records"]
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).with_name("templates")),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(TEMPLATE).render(
+        command=document["command"],
+        tests=report_tables.TESTS,
+        paper=published,
+        missing=[r for r in records if r["metric"] == "missing"],
+        methods={r.get("method") for r in records if r["metric"] == "add_s_recall"},
+        keypoint_tables=_by_test(records, report_tables.keypoint_table),
+        recall_tables=_by_test(records, report_tables.recall_table),
+        solver_table=report_tables.solver_table(records),
+        noise_table=report_tables.noise_table(records),
+        training_table=report_tables.training_table(records),
+        cost_table=report_tables.cost_table(records),
+        charts={name: data_uri(path) for name, path in charts.items()},
+        pictures=[(path.stem, data_uri(path)) for path in pictures],
+        origin=_origin(document),
+    )
+
+
+def data_uri(path: Path) -> str:
+    """An SVG or PNG file as an address that holds it."""
+    data = base64.b64encode(path.read_bytes()).decode()
+    return f"data:{_IMAGE_TYPES[path.suffix]};base64,{data}"
+
+
+def _by_test(records: report_tables.Records, make: Any) -> dict[str, report_tables.Table]:
+    """Tables by test, those without results left out."""
+    made = {test: make(records, test) for test in report_tables.TESTS}
+    return {test: table for test, table in made.items() if table is not None}
+
+
+def _origin(document: Mapping[str, Any]) -> dict[str, Sequence[str]]:
+    """Where the results come from: texts by name, of which a list is set as code."""
+    runs = [r for r in document["records"] if r["metric"] == "run"]
+    versions = ", ".join(f"{name} {version}" for name, version in document["versions"].items())
+    entries: dict[str, Sequence[str]] = {
+        "command": [f"python -m two_view_pose {document['command']}"],
+        "seed": str(document["seed"]),
+        "versions": versions,
+    }
+    commits = sorted({commit for run in runs for commit in run["commits"].split()})
+    if commits:
+        entries["commit"] = [commit[:12] for commit in commits]
+    for record in document["records"]:
+        if record["metric"] == "test_set":
+            settings = json.loads(record["settings"])
+            seed = f", seed {settings['seed']}" if "seed" in settings else ""
+            entries[f"{report_tables.TESTS[record['scene']]} test"] = (
+                f"{record['sequences']} sequences, {record['references']} reference frames, "
+                f"{record['value']} pairs{seed}"
+            )
+    for run in sorted(runs, key=lambda run: METHODS.index(run["method"])):
+        training = f", {run['training']}" if run["training"] else ""
+        entries[f"{run['method']} networks{training}"] = [run["networks"]]
+    return entries

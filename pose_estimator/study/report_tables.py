@@ -1,0 +1,251 @@
+"""The tables of the study's page, from its records. A table without results is None."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .. import METHODS
+from . import published
+from .units import BEST_GAP, DEFAULT_WEIGHTS, GAPS, has_both_errors
+
+Records = Sequence[Mapping[str, Any]]
+Record = Mapping[str, Any] | None
+
+TESTS = {"linemod": "LineMOD-style", "occlusion": "Occlusion-style"}
+
+_FORMATS = {"mm": (1000.0, ".1f"), "%": (100.0, ".1f"), "points": (100.0, "+.1f")}
+"""Unit -> scale and format: meters as mm, shares as percent or as percentage points."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a table.
+
+    Attributes:
+        text: what it says; empty: a dash.
+        interval: small text under it.
+        best: whether it is set in bold.
+        published: whether it is of the paper.
+    """
+
+    text: str = ""
+    interval: str = ""
+    best: bool = False
+    published: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Attributes:
+        groups: titles above the columns, and how many columns each spans.
+        head: names of the columns.
+        rows: their cells.
+        notes: paragraphs below it.
+        last_is_mean: whether the last row is set apart.
+    """
+
+    groups: Sequence[tuple[str, int]]
+    head: Sequence[Cell]
+    rows: Sequence[Sequence[Cell]]
+    notes: Sequence[str] = ()
+    last_is_mean: bool = False
+
+
+def find(records: Records, **tags: Any) -> Record:
+    """The first record with these tags, or None."""
+    return next((r for r in records if all(r.get(k) == v for k, v in tags.items())), None)
+
+
+def keypoint_table(records: Records, scene: str) -> Table | None:
+    """Table 1: mean 3D keypoint distance by gap, mm."""
+    methods = ("early", "mid", "late", "rgbd")
+    tags = {"metric": "keypoint_distance", "scene": scene, "object": "mean"}
+    rows = []
+    for gap in (*GAPS, "mean"):
+        results = [find(records, **tags, method=method, gap=gap) for method in methods]
+        paper = _paper_cell("keypoint_distance", scene, gap, "mm")
+        rows.append([Cell(str(gap)), *_ranked(results, "mm", min), paper])
+    medians = []
+    tags = {"metric": "keypoint_distance_median", "scene": scene}
+    for method in methods:
+        found = [find(records, **tags, method=method, gap=gap) for gap in GAPS]
+        values = [f"{1000 * record['value']:.1f}" for record in found if record]
+        if values:
+            medians.append(f"{method} {', '.join(values)}")
+    groups = [("", 1), ("ours, simulated", len(methods)), _paper_group(scene)]
+    head = [*map(Cell, ("gap", *methods)), Cell("mid", published=True)]
+    note = f"Medians at gaps 1, 5 and 10: {'; '.join(medians)} mm."
+    return Table(groups, head, rows, [note], last_is_mean=True) if medians else None
+
+
+def recall_table(records: Records, scene: str) -> Table | None:
+    """Tables 2 and 3: ADD(-S) below a tenth of the diameter by object, percent."""
+    at_best = [r for r in records if r.get("scene") == scene and r.get("gap") == BEST_GAP]
+    recalls = [r for r in at_best if r["metric"] == "add_s_recall"]
+    if not recalls:
+        return None
+    rows = []
+    for name in [*sorted({r["object"] for r in recalls} - {"mean"}), "mean"]:
+        results = [find(recalls, method=method, object=name) for method in METHODS]
+        paper = Cell(published=True)
+        if name == "mean":
+            paper = _paper_cell("add_s_recall", scene, BEST_GAP, "%")
+        pairs = max(r["n"] for r in results if r is not None)
+        rows.append([Cell(name), *_ranked(results, "%", max), paper, Cell(str(pairs))])
+    gains = [
+        f"{_format(r['value'], 'points')} points over {r['against']} "
+        f"({_interval(r, 'points') or 'no interval'})"
+        for r in at_best
+        if r["metric"] == "add_s_recall_difference"
+    ]
+    notes = [f"mid, pair by pair: {'; '.join(gains)}."] if gains else []
+    gain = published.RESULTS.get(("add_s_recall_difference", scene, BEST_GAP))
+    if gain is not None:
+        notes.append(f"The paper's gain over rgbd: {_format(gain, 'points')} points.")
+    notes.append(
+        "Of the paper only the mean stands here: its results by object are not in the sources that "
+        "this page is made from."
+    )
+    groups = [("", 1), ("ours, simulated", len(METHODS)), _paper_group(scene), ("", 1)]
+    head = [*map(Cell, ("object", *METHODS)), Cell("mid", published=True), Cell("pairs")]
+    return Table(groups, head, rows, notes, last_is_mean=True)
+
+
+def solver_table(records: Records) -> Table | None:
+    """Recall by solver, and what Soft RANSAC gains."""
+    rows = []
+    for scene in ("occlusion", "linemod"):
+        for method in METHODS:
+            tags = {"scene": scene, "method": method, "gap": BEST_GAP}
+            results = [
+                find(records, metric="solver_recall", solver=solver, **tags)
+                for solver in ("soft", "kabsch", "hard")
+            ]
+            gains = [
+                find(records, metric="solver_recall_difference", against=other, **tags)
+                for other in ("kabsch", "hard")
+            ]
+            if any(results):
+                cells = [_cell(gain, "points") for gain in gains]
+                name = Cell(f"{TESTS[scene]}, {method}")
+                rows.append([name, *_ranked(results, "%", max), *cells])
+    head = ["", "soft", "Kabsch", "hard", "soft over Kabsch", "soft over hard"]
+    groups = [("", 1), ("solver", 3), ("gain, points", 2)]
+    return Table(groups, [Cell(name) for name in head], rows) if rows else None
+
+
+def noise_table(records: Records) -> Table | None:
+    """Recall and keypoint distance under errors of the relative pose, both at once."""
+    chosen = [r for r in records if r["metric"] == "noise_add_s_recall"]
+    curves = sorted(
+        {(r["method"], r["training"]) for r in chosen},
+        key=lambda curve: (METHODS.index(curve[0]), curve[1] != DEFAULT_WEIGHTS),
+    )
+    levels = {(r["rotation_deg"], r["translation"]) for r in chosen if has_both_errors(r)}
+    rows = []
+    for rotation, translation in sorted(levels):
+        row = [Cell(f"{rotation:g}°, {1000 * translation:g} mm")]
+        tags = {"rotation_deg": rotation, "translation": translation}
+        for metric, unit, best in _MEASURES:
+            results = [
+                find(records, metric=f"noise_{metric}", method=method, training=training, **tags)
+                for method, training in curves
+            ]
+            row += _ranked(results, unit, best)
+        rows.append(row)
+    names = [m if t == DEFAULT_WEIGHTS else f"{m}, trained with {t}" for m, t in curves]
+    groups = [("", 1), *((title, len(names)) for title in _MEASURE_TITLES)]
+    head = [Cell(name) for name in ("error of the pose", *names, *names)]
+    return Table(groups, head, rows) if rows else None
+
+
+def training_table(records: Records) -> Table | None:
+    """What weights of other trainings reach, beside the default ones on the same pairs."""
+    rows = []
+    for record in records:
+        training = record.get("training")
+        if record["metric"] != "training_add_s_recall" or training == DEFAULT_WEIGHTS:
+            continue
+        tags = {"scene": record["scene"], "method": record["method"]}
+        row = [Cell(f"{training}, {TESTS[record['scene']]}")]
+        for metric, unit, best in _MEASURES:
+            name = f"training_{metric}"
+            usual = find(records, metric=name, paired_with=training, **tags)
+            other = find(records, metric=name, training=training, **tags)
+            gain = find(records, metric=f"{name}_difference", training=training, **tags)
+            gain_unit = "points" if unit == "%" else unit
+            row += [*_ranked([usual, other], unit, best), _cell(gain, gain_unit)]
+        rows.append(row)
+    groups = [("", 1), *((title, 3) for title in _MEASURE_TITLES)]
+    head = [Cell(name) for name in ("weights, test", *["usual", "other", "gain"] * 2)]
+    return Table(groups, head, rows) if rows else None
+
+
+def cost_table(records: Records) -> Table | None:
+    """Milliseconds a pair."""
+    chosen = [r for r in records if r["metric"] == "seconds_per_pair"]
+    batches = sorted({r["batch"] for r in chosen})
+    rows = []
+    for method in METHODS:
+        results = [find(chosen, method=method, batch=batch) for batch in batches]
+        if any(results):
+            texts = [f"{1000 * r['value']:.0f}" if r else "" for r in results]
+            rows.append([Cell(method), *map(Cell, texts)])
+    if not rows:
+        return None
+    threads = chosen[0]["threads"]
+    groups = [("", 1), (f"ms a pair, {threads} thread{'s' * (threads != 1)}", len(batches))]
+    return Table(groups, [Cell("method"), *(Cell(f"batch {b}") for b in batches)], rows)
+
+
+_MEASURES: tuple[tuple[str, str, Callable[..., float]], ...] = (
+    ("add_s_recall", "%", max),
+    ("keypoint_distance", "mm", min),
+)
+"""Metric, the unit that it is shown in, and which of several is best."""
+
+_MEASURE_TITLES = ("ADD(-S) < 0.1 d, %", "keypoint distance, mm")
+
+
+def _ranked(records: Sequence[Record], unit: str, best: Callable[..., float]) -> list[Cell]:
+    """Cells of one row, the best in bold unless all are equal, as they are shown."""
+    values = [None if r is None else float(_format(r["value"], unit)) for r in records]
+    known = {value for value in values if value is not None}
+    top = best(known) if len(known) > 1 else None
+    return [
+        _cell(record, unit, value is not None and value == top)
+        for record, value in zip(records, values, strict=True)
+    ]
+
+
+def _cell(record: Record, unit: str, best: bool = False) -> Cell:
+    """A result with its interval."""
+    if record is None:
+        return Cell()
+    return Cell(_format(record["value"], unit), _interval(record, unit), best)
+
+
+def _paper_cell(metric: str, scene: str, gap: int | str, unit: str) -> Cell:
+    """Mid-Fusion's published result, or an empty cell."""
+    value = published.RESULTS.get((metric, scene, gap))
+    return Cell("" if value is None else _format(value, unit), published=True)
+
+
+def _paper_group(scene: str) -> tuple[str, int]:
+    return f"published, {published.TESTS[scene]}", 1
+
+
+def _format(value: float, unit: str) -> str:
+    scale, spec = _FORMATS[unit]
+    return format(scale * value, spec)
+
+
+def _interval(record: Mapping[str, Any], unit: str) -> str:
+    """A record's interval, or empty text."""
+    if "low" not in record:
+        return ""
+    return f"{_format(record['low'], unit)} to {_format(record['high'], unit)}"

@@ -1,0 +1,119 @@
+"""What a training says of itself: its log, and the header of its weights."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..networks.parts import PARTS
+from .config import TrainEstimatorConfig
+
+if TYPE_CHECKING:
+    from ..networks.container import PoseNetworks
+
+
+class TrainingLog:
+    """What a training says of itself, one line of JSON at a time.
+
+    Args:
+        path: the file; it is added to.
+        resume: whether the figures that it holds are those of this training.
+
+    Attributes:
+        held_out: the last figures on held-out data, by stage and name.
+    """
+
+    def __init__(self, path: Path, *, resume: bool = False):
+        self._path = path
+        self.held_out: dict[str, float] = {}
+        for line in path.read_text().splitlines() if resume and path.is_file() else ():
+            try:
+                entry = json.loads(line)
+            except json.JSONDecodeError:
+                continue  # a run was killed in the middle of it
+            self._remember(entry.pop("stage"), entry)
+
+    def __call__(self, stage: str, step: int, numbers: Mapping[str, float]) -> None:
+        """Adds a line; numbers are named ``train/...`` or ``held_out/...``."""
+        entry = {"stage": stage, "step": step, "time": round(time.time(), 1), **numbers}
+        with open(self._path, "a") as file:
+            file.write(json.dumps(entry) + "\n")
+        self._remember(stage, numbers)
+
+    def _remember(self, stage: str, numbers: Mapping[str, float]) -> None:
+        """Keeps what is held-out data's."""
+        for name, value in numbers.items():
+            kind, _, figure = name.partition("/")
+            if kind == "held_out":
+                self.held_out[f"{stage}/{figure}"] = value
+
+    def write_results(self, config: TrainEstimatorConfig) -> None:
+        """Writes the figures on held-out data as a results file."""
+        from ...core.results import write_results
+
+        assert config.json is not None
+        records = [
+            {"metric": name.split("/")[1], "value": value, "unit": "", "stage": name.split("/")[0]}
+            for name, value in self.held_out.items()
+        ]
+        write_results(config.json, records, command="train-estimator", seed=config.seed)
+
+
+def header(
+    config: TrainEstimatorConfig,
+    networks: PoseNetworks,
+    done: Mapping[str, int],
+    held_out: Mapping[str, float],
+) -> dict[str, Any]:
+    """What the weights say of their training.
+
+    Args:
+        config: of the training.
+        networks: as they are now.
+        done: the stages that are of this training, and the step that each is at.
+        held_out: figures on held-out data.
+    """
+    from ..networks.weights import find_weights, read_header
+    from .distributed import world_size
+
+    stages = {name: config.stage(name, len(networks.objects)) for name in done}
+    content: dict[str, Any] = {
+        "what": ", ".join(part for part in PARTS if part in networks.trained),
+        "trained_on": describe_data(config.data),
+        "training": {
+            "steps": dict(done),
+            "batch": {name: world_size() * settings.batch for name, settings in stages.items()},
+            "seed": config.seed,
+            "cut_and_paste": config.cut_and_paste,
+            "augmentation": config.augmentation,
+            "tune_encoder": config.tune_encoder,
+            "cycles": config.lr_cycles,
+            "encoder": "EfficientNet-Lite0, ImageNet (Apache-2.0)" if config.pretrained else "none",
+        },
+        "held_out": dict(held_out),
+    }
+    if config.attribution:
+        content["attribution"] = config.attribution
+    if "volume" in config.stages:
+        degrees, millimeters = config.pose_noise
+        content["training"] |= {
+            "pose_noise": {"degrees": degrees, "millimeters": millimeters},
+            "pose_loss": config.pose_loss,
+        }
+    if config.init is not None:
+        first = read_header(find_weights(config.init))
+        content["started_from"] = {n: first.get(n) for n in ("what", "trained_on", "training")}
+    return content
+
+
+def describe_data(data: Path) -> Any:
+    """What the dataset says of itself."""
+    manifest = Path(data) / "manifest.json"
+    if not manifest.is_file():
+        return {"dataset": Path(data).name}
+    content = json.loads(manifest.read_text())
+    generated = {name: content[name] for name in ("settings", "scenes") if name in content}
+    return {"dataset": Path(data).name, "generate": generated}

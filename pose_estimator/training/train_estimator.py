@@ -1,0 +1,276 @@
+"""``train-estimator``: from a folder of rendered images to weights that can be loaded."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Collection
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ...core.errors import InputError
+from ..bop.find_dataset import find_dataset
+from ..networks.parts import STAGES
+from .config import TrainEstimatorConfig
+from .objects import training_objects
+from .record import TrainingLog, header
+
+if TYPE_CHECKING:
+    import torch
+
+    from ..networks.container import PoseNetworks
+    from ..training_data.dataset import TrainingSet
+    from .stage_base import StageBase
+
+_FROZEN_ENCODER_STAGES = 2
+"""Stages of pretrained encoders that stay as they are: fewer learn more, more are quicker."""
+
+
+def train_estimator(config: TrainEstimatorConfig) -> Path:
+    """Trains and saves weights.
+
+    Returns:
+        The weights file.
+
+    Raises:
+        InputError: if the configuration or the data is wrong, or there is no dataset, or no such
+            device.
+    """
+    deadline = time.monotonic() + 60 * config.max_minutes if config.max_minutes else math.inf
+    config = replace(config, data=find_dataset(config.data), stages=config.chosen_stages)
+    from .distributed import own_device, process_group
+
+    device = own_device(config.device)
+    with process_group(device):
+        return _train(config, device, deadline)
+
+
+def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) -> Path:
+    """Trains, in each of the processes that train together; the first writes the files."""
+    import torch
+
+    from ...core.device import describe, uses_bfloat16
+    from ..networks.weights import save_weights
+    from .distributed import rank, rank_zero_first, threads_per_rank, world_size
+    from .trainer import tune_malloc
+
+    if config.threads or world_size() > 1:
+        torch.set_num_threads(config.threads or threads_per_rank())
+    tune_malloc()
+    torch.backends.cudnn.benchmark = True  # shapes stay, so searching the fastest kernels pays
+    torch.manual_seed(config.seed)
+    networks = start_networks(config).to(device)
+    count = len(networks.objects)
+    plan = [f"{n} ({config.stage(n, count).steps} steps)" for n in STAGES if n in config.stages]
+    print(f"training {', '.join(networks.objects)}: {', '.join(plan)}")
+    together = f", {world_size()} processes" if world_size() > 1 else ""
+    number_format = "bfloat16" if uses_bfloat16(device) else "float32"
+    print(f"on {describe(device)} in {number_format}{together}")
+    train, held_out = rank_zero_first(lambda: open_data(config, networks))
+    if config.compile:
+        for network in networks.children():
+            network.compile()  # when it first runs
+    config.out.mkdir(parents=True, exist_ok=True)
+    log = TrainingLog(config.out / "log.jsonl", resume=config.resume)
+    done: dict[str, int] = {}
+    for name in STAGES:
+        step = train_stage(config, name, networks, train, held_out, log, deadline)
+        if step is not None:
+            done[name] = step
+    path = config.out / "weights.safetensors"
+    if rank() > 0:
+        return path
+    networks.cpu()
+    content = header(config, networks, done, log.held_out)
+    save_weights(networks, path, content, surfaces=config.store_meshes)
+    if config.json is not None:
+        log.write_results(config)
+    print(f"weights: {path}")
+    unfinished = [
+        f"{name} ({done.get(name, 0)} of {config.stage(name, count).steps} steps)"
+        for name in config.stages
+        if done.get(name, 0) < config.stage(name, count).steps
+    ]
+    if unfinished:
+        print(
+            f"stopped after {config.max_minutes:g} minutes; the same command resumes with "
+            f"{', '.join(unfinished)}"
+        )
+    else:
+        print(next_command(networks, done, path))
+    return path
+
+
+def next_command(networks: PoseNetworks, done: Collection[str], path: Path) -> str:
+    """How to measure what was trained, or what to train before there is something to measure.
+
+    Args:
+        networks: that were trained.
+        done: the stages of the training, in order.
+        path: the weights.
+    """
+    missing = [part for part in ("detector", "features") if part not in networks.trained]
+    if missing:
+        return (
+            f"these weights cannot be evaluated until {' and '.join(missing)} are trained: the "
+            f"same command with --stages {' '.join(missing)}"
+        )
+    method = {"cascade": "early", "points": "rgbd"}.get([*done][-1] if done else "", "mid")
+    if method == "mid" and "volume" not in networks.trained:
+        method = "late"  # the best of two views that needs no more than 2D features
+    return f"evaluate them: python -m two_view_pose evaluate --method {method} --weights {path}"
+
+
+def start_networks(config: TrainEstimatorConfig) -> PoseNetworks:
+    """Networks as the training begins with them; see :func:`start_from` for what it raises."""
+    from ..networks.container import NetworkConfig, PoseNetworks
+
+    objects = training_objects(config.data, config.objects)
+    networks = PoseNetworks(objects, NetworkConfig(preset=config.preset))
+    encoders = networks.detector.encoder, networks.features.encoder
+    if config.init is not None:
+        start_from(config, networks)
+    elif config.pretrained:
+        for encoder in encoders:
+            encoder.load_pretrained()
+    if config.pretrained or config.init is not None:
+        for encoder in encoders:
+            encoder.freeze(_FROZEN_ENCODER_STAGES)
+    return networks
+
+
+def start_from(config: TrainEstimatorConfig, networks: PoseNetworks) -> None:
+    """Fills networks with what the weights ``config.init`` know, and prints what that is.
+
+    Raises:
+        FileNotFoundError: if there are no such weights.
+        InputError: if they are damaged, or lack 2D features, or know other objects, and the stages
+            that would learn these are not asked for.
+    """
+    from ..networks.weights import find_weights, read_networks
+    from .transfer import transfer_weights
+
+    assert config.init is not None
+    other = read_networks(find_weights(config.init))
+    transfer = transfer_weights(other, networks)
+    print(f"weights {config.init}\n{transfer}")
+    learnt = {
+        stage
+        for stage in STAGES
+        if stage in config.chosen_stages or (config.out / f"{stage}.safetensors").is_file()
+    }
+    stages_of = {"detector": {"detector"}, "features": {"features", "decoders"}}
+    missing = [
+        part
+        for part, stages in stages_of.items()
+        if part in transfer.incomplete and not stages & learnt
+    ]
+    if missing:
+        raise InputError(
+            f"the weights {config.init} know {', '.join(other.objects)}, and the training asks for "
+            f"{', '.join(networks.objects)}: add {' and '.join(missing)} to --stages, which must "
+            f"learn {', '.join(transfer.new)}"
+        )
+    if "decoders" in config.chosen_stages and "features" not in {*transfer.parts, *learnt}:
+        raise InputError(
+            f"the weights {config.init} hold no trained 2D features for the decoders to build on: "
+            "add features to --stages"
+        )
+
+
+def open_data(
+    config: TrainEstimatorConfig, networks: PoseNetworks
+) -> tuple[TrainingSet, TrainingSet]:
+    """The images to train on and those that are held out; they are packed at the first time."""
+    from ..training_data.augmentation import AugmentationConfig
+    from ..training_data.crop_packing import pack_dataset
+    from ..training_data.cut_and_paste import CutAndPasteConfig
+    from ..training_data.dataset import TrainingSet
+
+    pack = pack_dataset(config.data, networks.objects, split=config.split)
+    chance, strong = config.cut_and_paste, config.augmentation == "strong"
+    open_set = partial(
+        TrainingSet, pack, networks.objects, networks.config.features,
+        AugmentationConfig.strong() if strong else AugmentationConfig(),
+        validation=config.validation,
+    )  # fmt: skip
+    paste = CutAndPasteConfig(chance, chance, collages=0.5 * strong) if chance else None
+    return open_set(cut_and_paste=paste), open_set(held_out=True)
+
+
+def train_stage(
+    config: TrainEstimatorConfig,
+    name: str,
+    networks: PoseNetworks,
+    train: TrainingSet,
+    held_out: TrainingSet,
+    log: TrainingLog,
+    deadline: float = math.inf,
+) -> int | None:
+    """Trains a part of the networks if it is asked for, or restores what an earlier run made of it.
+
+    Args:
+        config: of the training.
+        name: of the stage.
+        networks: whose part it is.
+        train: the images to train on.
+        held_out: those to measure on.
+        log: of the training.
+        deadline: when to stop, by ``time.monotonic()``.
+
+    Returns:
+        The step that the part is at; None if it is not of this training.
+    """
+    from .checkpoints import load_checkpoint, read_numbers
+    from .distributed import agreed
+    from .loader import default_workers
+    from .trainer import LoopConfig, run_stage
+
+    checkpoint = config.out / f"{name}.safetensors"
+    asked = name in config.stages and agreed(time.monotonic() < deadline)
+    if not asked and not checkpoint.is_file():
+        return None
+    settings = config.stage(name, len(networks.objects))
+    extra: dict[str, Any] = {}
+    if name == "volume":
+        degrees, millimeters = config.pose_noise
+        extra = {"pose_noise": (degrees, millimeters / 1000), "pose_weight": config.pose_loss}
+    elif name == "decoders":
+        extra = {"tune_encoder": config.tune_encoder}
+    workers = default_workers(networks.device) if config.workers is None else config.workers
+    stage = _stage_class(name)(
+        networks, train, held_out, steps=settings.steps, batch=settings.batch,
+        learning_rate=settings.learning_rate, seed=config.seed, workers=workers, **extra,
+    )  # fmt: skip
+    if asked:
+        loop = LoopConfig(
+            out=config.out,
+            checkpoint_every=config.checkpoint_every,
+            resume=config.resume,
+            deadline=deadline,
+            lr_cycles=config.lr_cycles,
+        )
+        step = run_stage(stage, loop, log)
+    else:
+        load_checkpoint(stage.module, checkpoint)
+        step = read_numbers(checkpoint)["step"]
+    # Parts that were trained on other features are of no use with these; the cascade reads the
+    # encoder alone.
+    if name == "features":
+        networks.trained -= {"volume", "cascade", "points"}
+    elif name == "decoders":
+        networks.trained -= {"volume", "points"}
+    networks.trained |= {"features" if name == "decoders" else name}
+    return step
+
+
+def _stage_class(name: str) -> type[StageBase]:
+    from .cascade_stage import CascadeStage
+    from .point_stage import PointStage
+    from .stages import DecoderStage, DetectorStage, FeatureStage
+    from .volume_stage import VolumeStage
+
+    classes = (DetectorStage, FeatureStage, DecoderStage, VolumeStage, CascadeStage, PointStage)
+    return {stage.name: stage for stage in classes}[name]

@@ -1,0 +1,188 @@
+"""The training of ``mid``'s volume: pairs of crops, on top of frozen 2D features."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...core.pose_noise import perturb_relative_pose
+from ..networks.volume import LevelOutput, ViewMaps
+from ..networks.voting import vote
+from ..solvers.rigid import RigidMotions, solve
+from ..symmetry import keypoint_permutations
+from ..training_data.dataset import TrainingSet
+from ..training_data.target_sample import arrays_of_pair, as_input
+from .loader import Batch, Draw, Sample
+from .losses import distribution_loss, keypoint_loss, pose_loss
+from .stage_base import Answers, KeypointStage, table
+
+_KEYPOINT_WEIGHT = 4.0
+_DISTRIBUTION_WEIGHT = 0.2
+"""The paper's beta2 and beta3; beta1, the pose loss's, is an argument."""
+
+_GUESS_NOISE = 0.1
+"""Standard deviation of the guess of the center, in diameters."""
+
+
+class VolumeStage(KeypointStage):
+    """The volume on pairs of views; of the 2D network only the lifted map is trained with it.
+
+    The loss is the paper's, the sum over the levels of beta1 pose + beta2 keypoint + beta3 KL
+    divergence. Only where the volume's configuration says so (the preset ``paper``) is the coarse
+    level's pose part of it; elsewhere it is the fine level's alone.
+
+    Args:
+        args: of :class:`StageBase`.
+        pose_noise: largest error of the relative pose that the volume is given, as rotation in
+            degrees and translation in meters; see :func:`perturb_relative_pose`.
+        pose_weight: of the pose loss; 0 leaves it out.
+        kwargs: of :class:`StageBase`.
+    """
+
+    name = part = "volume"
+
+    def __init__(
+        self,
+        *args: Any,
+        pose_noise: tuple[float, float] = (0.0, 0.0),
+        pose_weight: float = 1.0,
+        **kwargs: Any,
+    ):
+        super().__init__(*args, **kwargs)
+        self.pose_noise = pose_noise
+        self.pose_weight = pose_weight
+        # Volumes with voxels of a fixed size are a hundred times as large as others.
+        self.validation = (16, 16) if self.networks.volume.config.fine.cells else (24, 2)
+        heads = self.networks.features.volume_heads.requires_grad_(True)
+        self._module = torch.nn.ModuleDict({"volume": self.networks.volume, "heads": heads})
+        self.permutations = table(
+            [keypoint_permutations(m.keypoints, m.symmetries) for m in self.train.models]
+        ).to(self.device)
+
+    @property
+    def module(self) -> torch.nn.Module:
+        return self._module
+
+    def drawing(self, *, held_out: bool = False) -> Draw:
+        if held_out:
+            return partial(draw_guessed_pair, self.held_out, (0.0, 0.0))
+        return partial(draw_guessed_pair, self.train, self.pose_noise)
+
+    def forward(self, batch: Batch) -> dict[str, Any]:
+        """Runs a batch of pairs of :func:`draw_guessed_pair`."""
+        networks = self.networks
+        networks.features.eval()
+        index, T_true = batch["object"], batch["T_cam_obj"]
+        count = len(index)
+        with self.autocast():
+            out = networks.features(as_input(batch["crop"]), index.repeat_interleave(2))
+        mean, covariance, _ = (part.unflatten(0, (count, 2)) for part in vote(out))
+        K = self.to_grid @ batch["K"]
+        truth = self.place(T_true, index)
+        mean, covariance = self.relabel_votes(
+            mean, covariance, _projections(K, batch["T_second_ref"]), truth, index
+        )
+        diameter = self.diameters[index]
+        guess = truth[:, -1] + batch["guess_error"] * diameter[:, None]
+        maps = ViewMaps(
+            features=out.volume.unflatten(0, (count, 2)),
+            projection=_projections(K, batch["noisy_T_second_ref"]),
+            vote_mean=mean,
+            vote_covariance=covariance,
+        )
+        with self.autocast():
+            levels = networks.volume(maps, guess, diameter)
+        return {
+            "levels": levels, "truth": truth, "T_true": T_true, "diameter": diameter,
+            "index": index,
+        }  # fmt: skip
+
+    def solve(self, level: LevelOutput, out: dict[str, Any]) -> RigidMotions:
+        """The poses that a level's keypoints mean, differentiably."""
+        return solve(self.keypoints[out["index"]], level.keypoints.float(), out["diameter"])
+
+    def relabel_votes(
+        self, mean: Tensor, covariance: Tensor, projection: Tensor, truth: Tensor, index: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Renumbers votes on symmetric objects to the pose that is trained.
+
+        Args:
+            mean: (B, V, 9, 2) of the votes.
+            covariance: (B, V, 9, 2, 2).
+            projection: (B, V, 3, 4).
+            truth: (B, 9, 3) keypoints in the pose that is trained.
+            index: (B,) of which object.
+
+        Returns:
+            The mean and the covariance of each keypoint's vote.
+        """
+        uvw = truth[:, None] @ projection[..., :3].mT + projection[..., None, :, 3]
+        pixels = uvw[..., :2] / uvw[..., 2:]
+        permutations = self.permutations[index]  # (B, P, 9)
+        samples = torch.arange(len(index), device=index.device)
+        permuted = mean.transpose(1, 2)[samples[:, None, None], permutations]  # (B, P, 9, V, 2)
+        miss = (permuted - pixels.transpose(1, 2)[:, None]).norm(dim=-1).clamp(max=8.0)
+        best = permutations[samples[:, None], miss.sum(2).argmin(1)]  # (B, V, 9)
+        places = samples[:, None, None], torch.arange(mean.shape[1], device=index.device)[:, None]
+        return mean[*places, best], covariance[*places, best]
+
+    def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        self.networks.volume.train()
+        out = self.forward(batch)
+        total = torch.zeros((), device=self.device)
+        numbers: dict[str, Tensor] = {}
+        for level, name in zip(out["levels"], ("coarse", "fine"), strict=True):
+            distribution = distribution_loss(
+                level.log_probability, level.cells, out["truth"], level.cell_size
+            )
+            distance = keypoint_loss(level.keypoints, out["truth"], out["diameter"])
+            total = total + _DISTRIBUTION_WEIGHT * distribution + _KEYPOINT_WEIGHT * distance
+            numbers |= {f"{name}_kl": distribution, f"{name}_distance": distance}
+            if self.pose_weight and (name == "fine" or self.networks.volume.config.coarse_pose):
+                solution = self.solve(level, out)
+                pose = pose_loss(
+                    solution.rotation, solution.translation, out["T_true"], out["diameter"],
+                    alpha=0.3,
+                )  # fmt: skip
+                total = total + self.pose_weight * pose
+                numbers["pose" if name == "fine" else "coarse_pose"] = pose
+        return total, numbers
+
+    def answers(self, batch: Batch) -> Answers:
+        out = self.forward(batch)
+        level = out["levels"][-1]
+        motions = self.solve(level, out)
+        return Answers(level.keypoints, motions, out["truth"], out["T_true"], out["index"])
+
+
+def draw_guessed_pair(
+    source: TrainingSet, pose_noise: tuple[float, float], rng: np.random.Generator
+) -> Sample:
+    """A pair, a guess of its center, and the relative pose that the volume is given.
+
+    Args:
+        source: of the pair.
+        pose_noise: largest error of that pose in degrees and meters.
+        rng: of the draws.
+    """
+    first, second, T_second_ref = source.draw_pair(rng, with_depth=False)
+    guess_error = rng.normal(0, _GUESS_NOISE, 3)
+    noisy = T_second_ref
+    if any(pose_noise):
+        noisy = perturb_relative_pose(T_second_ref, *pose_noise, rng, uniform=True)
+    return {
+        **arrays_of_pair(first, second),
+        "T_second_ref": T_second_ref.astype(np.float32),
+        "noisy_T_second_ref": noisy.astype(np.float32),
+        "guess_error": guess_error.astype(np.float32),
+    }
+
+
+def _projections(K: Tensor, T_second_ref: Tensor) -> Tensor:
+    """Projections (B, 2, 3, 4) of both views from K (B, 2, 3, 3) and T_second_ref (B, 4, 4)."""
+    identity = torch.eye(4, device=K.device).expand_as(T_second_ref)
+    return K @ torch.stack([identity, T_second_ref], 1)[:, :, :3]

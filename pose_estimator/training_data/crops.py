@@ -1,0 +1,129 @@
+"""A dataset packed for training: every target's crop and every small frame, in two files.
+
+Decoding full frames and masks again in each epoch would cost more than the network. A pack holds,
+for each target (one object in one image), a JPEG crop somewhat wider than its region of interest
+and a PNG of its visible mask, and for each image a JPEG at the detector's size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ...core.errors import InputError
+
+STORED_SIDE = 192
+"""Side of a stored crop in pixels."""
+
+STORED_SCALE = 2.1
+"""Side of a stored crop in object diameters: room for shifts, scales and turns around 1.4."""
+
+DEPTH_STEP = 1e-4
+"""Meters for each step of a stored depth crop (uint16)."""
+
+
+@dataclass(frozen=True, eq=False)
+class CropPack:
+    """Targets and frames of one dataset, memory-mapped.
+
+    Attributes:
+        object_names: the objects, in the order of ``object_index``.
+        crops: all encoded crops and masks, uint8 bytes.
+        frames: all encoded small frames, uint8 bytes.
+        spans: (T, 6) begin and end of a target's crop, of its mask and of its depth in ``crops``;
+            a depth of no bytes where the dataset has none.
+        frame_spans: (F, 2) begin and end in ``frames``.
+        object_index: (T,) which object.
+        frame_index: (T,) which frame.
+        scene_id: (F,) the scene of each frame; frames of one scene share a static world.
+        T_cam_obj: (T, 4, 4) meters.
+        visibility: (T,) 0 to 1.
+        to_stored: (T, 3, 3) affine map from full-frame pixels to the stored crop.
+        K: (F, 3, 3).
+        T_cam_world: (F, 4, 4).
+        frame_to_image: (F, 3, 3) affine map from pixels of the small frame to the full frame.
+    """
+
+    object_names: tuple[str, ...]
+    crops: np.ndarray
+    frames: np.ndarray
+    spans: np.ndarray
+    frame_spans: np.ndarray
+    object_index: np.ndarray
+    frame_index: np.ndarray
+    scene_id: np.ndarray
+    T_cam_obj: np.ndarray
+    visibility: np.ndarray
+    to_stored: np.ndarray
+    K: np.ndarray
+    T_cam_world: np.ndarray
+    frame_to_image: np.ndarray
+
+    def crop(self, target: int) -> np.ndarray:
+        """The stored crop of a target, RGB uint8 (192, 192, 3)."""
+        begin, end = self.spans[target, :2]
+        return _decode_rgb(self.crops[begin:end])
+
+    def mask(self, target: int) -> np.ndarray:
+        """The stored visible mask of a target, uint8 0 or 255 (192, 192)."""
+        begin, end = self.spans[target, 2:4]
+        return _decode(self.crops[begin:end], cv2.IMREAD_GRAYSCALE)
+
+    def depth(self, target: int) -> np.ndarray | None:
+        """The stored depth of a target's whole crop, float32 (192, 192) meters along the camera's
+        z, 0 = unknown; None where the dataset has no depth maps."""
+        begin, end = self.spans[target, 4:]
+        if begin == end:
+            return None
+        return _decode(self.crops[begin:end], cv2.IMREAD_UNCHANGED) * np.float32(DEPTH_STEP)
+
+    def frame(self, index: int) -> np.ndarray:
+        """A frame at the detector's size, RGB uint8 (240, 320, 3)."""
+        begin, end = self.frame_spans[index]
+        return _decode_rgb(self.frames[begin:end])
+
+
+class _MappedFile(np.memmap):
+    """The bytes of a file, which another process opens itself instead of being sent them."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _MappedFile, (self.filename, self.dtype, "r")
+
+
+def open_pack(folder: Path, object_names: Sequence[str]) -> CropPack:
+    """Opens the files of a packed dataset."""
+    with np.load(folder / "index.npz") as index:
+        arrays = {name: index[name] for name in index.files}
+    return CropPack(
+        object_names=tuple(object_names),
+        crops=_MappedFile(folder / "crops.bin", np.uint8, "r"),
+        frames=_MappedFile(folder / "frames.bin", np.uint8, "r"),
+        **arrays,
+    )
+
+
+def encode_image(suffix: str, image: np.ndarray) -> bytes:
+    """An RGB image (H, W, 3), or one of a single channel (H, W), as a JPEG or PNG file."""
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    options: Sequence[int] = [cv2.IMWRITE_JPEG_QUALITY, 95] if suffix == ".jpg" else []
+    ok, data = cv2.imencode(suffix, image, options)
+    if not ok:
+        raise InputError(f"OpenCV could not encode a {suffix} of shape {image.shape}")
+    return data.tobytes()
+
+
+def _decode_rgb(data: np.ndarray) -> np.ndarray:
+    return cv2.cvtColor(_decode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+
+
+def _decode(data: np.ndarray, flags: int) -> np.ndarray:
+    image = cv2.imdecode(data, flags)
+    if image is None:
+        raise InputError("the packed crops are damaged: delete their folder to pack them again")
+    return image

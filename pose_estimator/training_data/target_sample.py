@@ -1,0 +1,72 @@
+"""One training crop: image, mask, votes and camera; and how it goes into a batch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from ..networks.features import FeatureConfig
+
+
+@dataclass(frozen=True, eq=False)
+class TargetSample:
+    """One training crop.
+
+    Attributes:
+        crop: RGB uint8 (S, S, 3).
+        mask: (G, G) float32, covered fraction of each cell by the visible object.
+        directions: (9, 2, G, G) float32 unit vectors towards the keypoints.
+        object_index: which object.
+        K: (3, 3) camera of the crop (any affine of the true one, turned and shifted).
+        T_cam_obj: (4, 4) the pose that is trained.
+        depth: (S, S) float32 meters along the camera's z, of all that the crop shows, 0 = unknown;
+            None where the dataset has no depth maps.
+    """
+
+    crop: np.ndarray
+    mask: np.ndarray
+    directions: np.ndarray
+    object_index: int
+    K: np.ndarray
+    T_cam_obj: np.ndarray
+    depth: np.ndarray | None = None
+
+
+def direction_field(pixels: np.ndarray, config: FeatureConfig) -> np.ndarray:
+    """Unit vectors (9, 2, G, G) from each output cell to keypoints (9, 2) in crop pixels."""
+    cells = np.arange(config.grid) * config.stride + (config.stride - 1) / 2
+    field = np.empty((len(pixels), 2, config.grid, config.grid), np.float32)
+    field[:, 0] = pixels[:, 0, None, None] - cells[None, None, :]
+    field[:, 1] = pixels[:, 1, None, None] - cells[None, :, None]
+    # Within half a cell the direction means nothing; let it go to zero there.
+    return field / np.maximum(np.linalg.norm(field, axis=1, keepdims=True), config.stride / 2)
+
+
+def arrays_of(sample: TargetSample) -> dict[str, Any]:
+    """What a batch of single crops holds of a sample."""
+    return {
+        "crop": sample.crop,
+        "mask": sample.mask,
+        "directions": sample.directions,
+        "object": sample.object_index,
+        "K": sample.K.astype(np.float32),
+        "T_cam_obj": sample.T_cam_obj.astype(np.float32),
+    }
+
+
+def arrays_of_pair(first: TargetSample, second: TargetSample) -> dict[str, Any]:
+    """What a batch of pairs holds of one: crops and cameras of both views, the first's pose."""
+    return {
+        "crop": np.stack([first.crop, second.crop]),
+        "object": first.object_index,
+        "K": np.stack([first.K, second.K]).astype(np.float32),
+        "T_cam_obj": first.T_cam_obj.astype(np.float32),
+    }
+
+
+def as_input(images: Tensor) -> Tensor:
+    """Images (..., H, W, 3) uint8 as a network's input (B, 3, H, W) float32, channels last."""
+    return images.flatten(0, -4).permute(0, 3, 1, 2).float()

@@ -1,0 +1,113 @@
+"""Draws a posed object into a image: its silhouette, its outline, an enlarged detail."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from ..core.geometry import check_image, check_intrinsics, check_rigid, transform
+
+TRUE_COLOR = (57, 190, 88)
+ESTIMATE_COLOR = (255, 122, 26)
+
+_NEAR = 0.01  # meters; nearer faces are left out of a silhouette
+_SHIFT = 4  # cv2's fixed point: 1/16 of a pixel
+_THICKNESS = 2  # pixels
+_LIMIT = 2**20 / 2**_SHIFT  # pixels; what lies further out is of no interest
+
+
+class Shape(Protocol):
+    """What is drawn of an object: vertices (V, 3) in meters and faces (F, 3) of indices."""
+
+    @property
+    def vertices(self) -> np.ndarray: ...
+
+    @property
+    def faces(self) -> np.ndarray: ...
+
+
+def silhouette(
+    model: Shape, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
+) -> np.ndarray:
+    """Which pixels the object alone would cover.
+
+    Args:
+        model: the object.
+        T_cam_obj: object to OpenCV camera, (4, 4), meters.
+        K: camera matrix, (3, 3), pixels.
+        shape: height and width of the image.
+
+    Returns:
+        Mask (height, width), uint8, 255 inside; empty where the object is behind the camera.
+
+    Raises:
+        InputError: if the pose is not rigid or K is no camera matrix.
+    """
+    K = check_intrinsics(K)
+    vertices = transform(check_rigid(T_cam_obj, "T_cam_obj"), model.vertices)
+    mask = np.zeros(shape, dtype=np.uint8)
+    in_front = (vertices[:, 2] > _NEAR)[model.faces].all(axis=1)
+    uvw = vertices @ K.T
+    pixels = np.clip(uvw[:, :2] / np.maximum(uvw[:, 2:], _NEAR), -_LIMIT, _LIMIT)
+    triangles = pixels[model.faces[in_front]]
+    for triangle in np.round(triangles * 2**_SHIFT).astype(np.int32):
+        cv2.fillConvexPoly(mask, triangle, 255, cv2.LINE_8, _SHIFT)
+    return mask
+
+
+def outline(
+    model: Shape, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
+) -> list[np.ndarray]:
+    """The contours of the object's silhouette, holes included.
+
+    Args:
+        model: the object.
+        T_cam_obj: object to OpenCV camera, (4, 4), meters.
+        K: camera matrix, (3, 3), pixels.
+        shape: height and width of the image.
+
+    Returns:
+        Closed contours, each (N, 2) float64 pixels; none if the object is out of the image.
+
+    Raises:
+        InputError: if the pose is not rigid or K is no camera matrix.
+    """
+    # Contours run along pixel centers: rasterize finer, with a margin that the frame cuts off.
+    scale, margin = 3, 4
+    offset = scale * margin + (scale - 1) / 2
+    lift = np.array([[scale, 0.0, offset], [0.0, scale, offset], [0.0, 0.0, 1.0]])
+    fine_shape = (scale * (shape[0] + 2 * margin), scale * (shape[1] + 2 * margin))
+    mask = silhouette(model, T_cam_obj, lift @ check_intrinsics(K), fine_shape)
+    contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    return [
+        (contour.reshape(-1, 2) - lift[:2, 2]) / scale for contour in contours if len(contour) > 8
+    ]
+
+
+def draw_poses(
+    image: np.ndarray,
+    model: Shape,
+    poses: Mapping[tuple[int, int, int], np.ndarray],
+    K: np.ndarray,
+) -> np.ndarray:
+    """A copy of the image with the object outlined in each pose, anti-aliased.
+
+    Args:
+        image: RGB uint8, (H, W, 3).
+        model: the object.
+        poses: T_cam_obj (4, 4) by the RGB color to draw it in; later ones lie on top.
+        K: camera matrix of the image, (3, 3).
+
+    Raises:
+        InputError: if the image is not uint8 RGB, a pose is not rigid or K is no camera matrix.
+    """
+    canvas = np.ascontiguousarray(check_image(image)).copy()
+    for color, T_cam_obj in poses.items():
+        contours = outline(model, T_cam_obj, K, image.shape[:2])
+        polygons = [np.round(contour * 2**_SHIFT).astype(np.int32) for contour in contours]
+        if polygons:
+            cv2.polylines(canvas, polygons, True, color, _THICKNESS, cv2.LINE_AA, _SHIFT)
+    return canvas

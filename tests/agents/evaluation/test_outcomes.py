@@ -1,0 +1,123 @@
+"""Figures of an evaluation, checked by hand, and paired comparisons."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from two_view_pose.agents.evaluation.outcomes import (
+    Outcome,
+    gap_closed,
+    make_records,
+    print_table,
+    short,
+)
+
+
+def outcomes(errors: list[float], visibility: float = 0.5) -> list[Outcome]:
+    names = ("cat", "duck")
+    return [Outcome(names[i % 2], e, 0.3, visibility) for i, e in enumerate(errors)]
+
+
+def find(records: list[dict], **tags: object) -> dict:
+    [record] = [r for r in records if all(r.get(k) == v for k, v in tags.items())]
+    return record
+
+
+def test_the_share_of_the_gap() -> None:
+    rule, oracle = np.array([0.4, 0.6, 0.5]), np.array([0.1, 0.1, 0.1])
+    for share in (0.0, 0.5, 1.0, -0.3):
+        policy = rule + share * (oracle - rule)
+        value, low, high = gap_closed(policy, rule, oracle)
+        assert (value, low, high) == pytest.approx((share,) * 3)
+    assert gap_closed(rule, oracle, oracle) is None
+    value, low, high = gap_closed(np.array([0.1, 0.6, 0.5]), rule, oracle)
+    assert low < value < high and value == pytest.approx(0.25)
+
+
+def test_differences_are_paired() -> None:
+    rng = np.random.default_rng(0)
+    hard = rng.uniform(0.0, 0.9, 200)  # scenes differ far more than the policies do
+    records = make_records(
+        {
+            "stay": outcomes((hard + 0.05).tolist()),
+            "max-baseline": outcomes(hard.tolist()),
+            "mine": outcomes((hard - 0.01 + rng.normal(0, 0.001, 200)).tolist()),
+            "oracle": outcomes((hard - 0.05).tolist()),
+        },
+        "occlusion",
+    )
+    found = find(records, policy="mine", metric="capped_difference")
+    assert found["low"] < found["value"] < found["high"] < 0
+    assert found["value"] == pytest.approx(-0.01, abs=0.001)
+    alone = find(
+        records, policy="mine", metric="capped_add_over_diameter", object="mean", visibility=None
+    )
+    assert alone["high"] - alone["low"] > 20 * (found["high"] - found["low"])
+    assert find(records, policy="mine", metric="gap_closed")["value"] == pytest.approx(
+        0.2, abs=0.02
+    )
+    assert find(records, policy="oracle", metric="regret")["value"] == 0.0
+    assert find(records, policy="max-baseline", metric="gap_closed")["value"] == 0.0
+
+
+def test_scenes_played_twice_are_not_more_scenes() -> None:
+    rows = [Outcome("cat", e, 0.3, 0.5, scene=i) for i, e in enumerate((0.05, 0.2, 0.6, 0.08))]
+    once = make_records({"random": rows}, "heap")
+    twice = make_records({"random": rows + rows}, "heap")
+    for metric in ("capped_add_over_diameter", "travel"):
+        tags = {"metric": metric, "object": "mean", "visibility": None}
+        assert find(twice, **tags) == find(once, **tags)
+    assert find(twice, metric="add_s_recall", object="mean", visibility=None)["n"] == 4
+
+
+def test_bins_of_visibility() -> None:
+    rows = outcomes([0.05, 0.2], 0.3) + outcomes([0.05, 0.05, 0.3], 1.0)
+    records = make_records({"stay": rows}, "heap")
+    low = find(records, metric="add_s_recall", visibility=0.0)
+    assert (low["value"], low["n"]) == (0.5, 2)
+    high = find(records, metric="add_s_recall", visibility=0.9)
+    assert (high["value"], high["n"]) == (pytest.approx(2 / 3), 3)
+    assert not [r for r in records if r.get("visibility") == 0.4]
+    assert not [r for r in records if "against" in r]
+
+
+@pytest.mark.parametrize(
+    ("successes", "n", "low", "high"),
+    [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611)],
+)
+def test_the_interval_of_a_recall(successes: int, n: int, low: float, high: float) -> None:
+    """Newcombe, "Two-sided confidence intervals for the single proportion", 1998, table I."""
+    rows = outcomes([0.05] * successes + [0.5] * (n - successes))
+    found = find(
+        make_records({"stay": rows}, "heap"), metric="add_s_recall", object="mean", visibility=None
+    )
+    assert (found["low"], found["high"]) == pytest.approx((low, high), abs=5e-5)
+    assert found["value"] == successes / n
+
+
+def test_large_errors_are_capped() -> None:
+    records = make_records({"stay": outcomes([0.0, 7.0])}, "heap")
+    capped = find(records, metric="capped_add_over_diameter", object="mean", visibility=None)
+    assert capped["value"] == 0.5
+    plain = find(records, metric="add_over_diameter", object="mean", visibility=None)
+    assert plain["value"] == 3.5
+
+
+def test_files_are_called_by_their_folders() -> None:
+    assert short("runs/ppo-1/policy.safetensors") == "ppo-1"
+    assert short("max-baseline") == "max-baseline"
+
+
+@pytest.mark.parametrize("names", [("max-baseline", "oracle"), ("random", "runs/ppo/policy")])
+def test_a_policy_is_a_line_of_80_columns(
+    names: tuple[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    views = 1 if "oracle" in names else 3
+    errors = np.linspace(0.0, 1.0, 1000)
+    rows = [Outcome("cat", e, 1.2, 0.5, views=views, scene=i) for i, e in enumerate(errors)]
+    print_table(dict.fromkeys(names, rows), "scenes")
+    table = [line for line in capsys.readouterr().out.splitlines() if line.strip()]
+    assert len(table) == 3 + len(names) and max(map(len, table)) <= 80
+    for name, line in zip(names, table[3:], strict=True):
+        assert line.split()[0] == name and "10.0 (8-12) %" in line and "0.500 (0.482-0.518)" in line

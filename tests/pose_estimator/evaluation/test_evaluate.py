@@ -1,0 +1,126 @@
+"""Evaluating a dataset from its options to the results file, with a method that knows the truth."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.study_cases import Oracle, only_record
+from two_view_pose.core.geometry import make_transform
+from two_view_pose.core.results import read_results
+from two_view_pose.pose_estimator.bop.dataset import BopDataset, read_dataset, read_pairs
+from two_view_pose.pose_estimator.bop.results import read_bop_results
+from two_view_pose.pose_estimator.bop.writer import write_pairs
+from two_view_pose.pose_estimator.evaluation.config import EvaluateConfig
+from two_view_pose.pose_estimator.evaluation.evaluate import evaluate_dataset
+from two_view_pose.pose_estimator.evaluation.evaluate_pairs import evaluate_pairs
+from two_view_pose.pose_estimator.networks.features import FeatureConfig
+from two_view_pose.pose_estimator.types import PoseEstimate
+
+
+@pytest.fixture(scope="module")
+def opened(dataset: Path) -> BopDataset:
+    return read_dataset(dataset, "train_pbr")
+
+
+def test_a_dataset_is_evaluated_and_written(opened, dataset, boxes, monkeypatch, tmp_path, capsys):
+    oracle = Oracle(opened, boxes)
+    oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
+    asked: list[tuple] = []
+
+    def load(method: str, weights: str, **options: Any) -> Oracle:
+        asked.append((method, weights, options))
+        return oracle
+
+    monkeypatch.setattr("two_view_pose.pose_estimator.fusion.loading.load", load)
+    target = tmp_path / "figures.json"
+    config = EvaluateConfig(split="train_pbr", json=target)
+    evaluate_dataset(config, dataset, {"dataset": "boxes"})
+    document = read_results(target)
+    assert json.loads(target.read_text())["seed"] == 1000
+    assert only_record(document["records"], "add_s_recall", object="mean")["value"] == 1.0
+    assert all(r["method"] == "mid" and r["dataset"] == "boxes" for r in document["records"])
+    usual = {"preset": None, "solver": "soft", "device": "auto", "threads": 0}
+    assert asked == [("mid", "linemod", usual)]
+    printed = capsys.readouterr().out
+    assert "100.0 %" in printed and "true pose" not in printed
+    assert all("roi" not in r and "gap" not in r for r in document["records"])
+    assert all(len(request) == 2 and request[0][0].depth is None for request in oracle.requests)
+
+    oracle.networks.features = SimpleNamespace(config=FeatureConfig())  # type: ignore[attr-defined]
+    config = EvaluateConfig(split="train_pbr", json=target, roi="truth", solver="hard")
+    evaluate_dataset(config, dataset, {"dataset": "boxes"})
+    document = read_results(target)
+    assert asked[-1] == ("mid", "linemod", {**usual, "solver": "hard"})
+    assert all(r["roi"] == "truth" and r["solver"] == "hard" for r in document["records"])
+    assert document["command"].endswith("--solver hard --roi truth")
+    assert "ground-truth ROI: truth" in capsys.readouterr().out
+
+
+def test_outcomes_keep_the_gap_and_are_summed_up_for_each(
+    opened, dataset, boxes, monkeypatch, tmp_path
+):
+    pairs = [replace(p, gap=(1, 5)[i % 2]) for i, p in enumerate(read_pairs(dataset))]
+    write_pairs(tmp_path / "pairs.json", pairs)
+    outcomes = evaluate_pairs(Oracle(opened, boxes), opened, pairs, boxes, progress=False)
+    assert [o.gap for o in outcomes] == [1, 5] * 3
+    oracle = Oracle(opened, boxes)
+    oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
+    monkeypatch.setattr("two_view_pose.pose_estimator.fusion.loading.load", lambda *a, **k: oracle)
+    config = EvaluateConfig(split="train_pbr", pairs=tmp_path / "pairs.json")
+    records = evaluate_dataset(config, dataset, {})
+    counts = {
+        r.get("gap"): r["n"]
+        for r in records
+        if r["metric"] == "add_s_recall" and r["object"] == "mean"
+    }
+    assert counts == {None: 6, 1: 3, 5: 3}
+
+
+def test_poses_of_the_reference_views_are_written_once_each(
+    opened, dataset, boxes, monkeypatch, tmp_path
+):
+    # Each brick is asked for with both second views; the estimator is surer of the latter.
+    pairs = [replace(p, target_obj_id=boxes["brick"].obj_id) for p in read_pairs(dataset)]
+    write_pairs(tmp_path / "pairs.json", pairs)
+    oracle = Oracle(opened, boxes)
+    oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
+    answer = oracle.estimate
+
+    def estimate(views, name, *rois):
+        second = len(oracle.asked) % 2 == 1
+        found = answer(views, name, *rois)
+        shift = make_transform(np.eye(3), np.array([0, 0, 0.0 if second else 0.01]))
+        covariance = np.tile(np.eye(3), (9, 1, 1)) * (1e-6 if second else 1e-4)
+        return PoseEstimate(shift @ found.T_cam_obj, found.keypoints, covariance, [])
+
+    monkeypatch.setattr(oracle, "estimate", estimate)
+    monkeypatch.setattr("two_view_pose.pose_estimator.fusion.loading.load", lambda *a, **k: oracle)
+    target = tmp_path / "oracle_boxes-train_pbr.csv"
+    config = EvaluateConfig(split="train_pbr", pairs=tmp_path / "pairs.json", csv=target)
+    records = evaluate_dataset(config, dataset, {})
+    assert only_record(records, "add_s_recall", object="mean")["n"] == 6
+    results = read_bop_results(target)
+    assert [result.target for result in results] == [(scene, 0, 3) for scene in range(3)]
+    for result in results:
+        truth = opened.scene(result.scene_id)[0].annotation(3)
+        np.testing.assert_allclose(result.T_cam_obj, truth.T_cam_obj, atol=1e-9)
+        assert result.score == 1.0 and result.seconds > 0
+
+
+def test_a_dataset_without_pairs_is_paired_by_its_poses(
+    dataset, boxes, monkeypatch, tmp_path, capsys
+):
+    for name in ("train_pbr", "models"):
+        (tmp_path / name).symlink_to(dataset / name)
+    oracle = Oracle(read_dataset(tmp_path, "train_pbr"), boxes)
+    oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
+    monkeypatch.setattr("two_view_pose.pose_estimator.fusion.loading.load", lambda *a, **k: oracle)
+    records = evaluate_dataset(EvaluateConfig(split="train_pbr"), tmp_path, {})
+    # Three scenes of three pictures, all 10 to 60 degrees apart; two objects in each.
+    assert "18 pairs of views found from the poses of" in capsys.readouterr().out
+    mean = only_record(records, "add_s_recall", object="mean")
+    assert mean["value"] == 1.0 and mean["n"] == 36

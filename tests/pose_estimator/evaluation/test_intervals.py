@@ -1,0 +1,126 @@
+"""Means and intervals over sequences, against closed forms."""
+
+import numpy as np
+import pytest
+from two_view_pose.pose_estimator.evaluation.intervals import bootstrap_interval, clustered_mean
+
+
+def test_every_group_counts_the_same():
+    values = [1, 1, 1, 0, 0]
+    estimate = clustered_mean(values, [0, 1, 2, 3, 4], ["a", "a", "a", "a", "b"])
+    assert estimate.value == pytest.approx((0.75 + 0.0) / 2)
+    assert (estimate.n, estimate.sequences) == (5, 5)
+
+
+def test_the_interval_is_that_of_independent_sequences():
+    rng = np.random.default_rng(1)
+    means = rng.normal(size=400)
+    estimate = clustered_mean(means, range(400))
+    half = 1.96 * means.std() / np.sqrt(400)
+    assert estimate.high - estimate.value == pytest.approx(half, rel=0.1)
+    assert estimate.value - estimate.low == pytest.approx(half, rel=0.1)
+
+
+def test_repeated_frames_of_a_sequence_tell_nothing_new():
+    rng = np.random.default_rng(2)
+    means = rng.normal(size=60)
+    once = clustered_mean(means, range(60))
+    often = clustered_mean(np.repeat(means, 9), np.repeat(range(60), 9))
+    frames = clustered_mean(np.repeat(means, 9), range(540))
+    assert often.high - often.low == pytest.approx(once.high - once.low, rel=0.1)
+    # Taken for independent, the frames would pretend to be three times as sure.
+    assert frames.high - frames.low == pytest.approx((once.high - once.low) / 3, rel=0.15)
+
+
+def test_sequences_are_drawn_among_those_that_show_the_same():
+    # Half of the sequences show a, half b; the difference between the two is no uncertainty.
+    values = [0.0] * 10 + [1.0] * 10
+    estimate = clustered_mean(values, range(20), ["a"] * 10 + ["b"] * 10)
+    assert (estimate.low, estimate.value, estimate.high) == (0.5, 0.5, 0.5)
+
+
+def test_sequences_that_share_some_objects_are_drawn_together():
+    # Whole heaps of a, b and c, of which one is missing here and there: each heap is of one luck.
+    rng = np.random.default_rng(5)
+    rows = [(luck, heap, name) for heap, luck in enumerate(rng.normal(size=40))
+            for name in "abc" if (heap, name) not in {(3, "a"), (8, "b"), (9, "c")}]  # fmt: skip
+    values, heaps, names = zip(*rows, strict=True)
+    estimate = clustered_mean(values, heaps, names)
+    half = 1.96 * np.std(values) / np.sqrt(40)
+    assert (estimate.high - estimate.low) / 2 == pytest.approx(half, rel=0.15)
+
+
+def test_one_value_has_no_interval():
+    estimate = clustered_mean([0.3], [0])
+    assert (estimate.value, estimate.low, estimate.high) == (0.3, None, None)
+    # Nor has a mean with an object that was seen once.
+    assert clustered_mean([0.3, 0.4, 0.5], [0, 1, 2], ["a", "a", "b"]).low is None
+
+
+def test_of_a_lonely_sequence_the_frames_are_drawn():
+    values = [0.0, 1.0] * 50
+    estimate = clustered_mean(values, [7] * 100, ["a"] * 100)
+    half = 1.96 * 0.5 / np.sqrt(100)
+    assert estimate.sequences == 1
+    assert estimate.high - 0.5 == pytest.approx(half, rel=0.25)
+
+
+def test_objects_seen_together_are_drawn_together():
+    # In each sequence one object errs as much as the other gains: their mean is certain.
+    rng = np.random.default_rng(3)
+    error = rng.normal(size=30)
+    values = np.concatenate([error, -error])
+    estimate = clustered_mean(values, [*range(30)] * 2, ["a"] * 30 + ["b"] * 30)
+    assert estimate.high - estimate.low < 1e-12
+
+
+def test_the_same_seed_gives_the_same_interval():
+    values = np.random.default_rng(4).normal(size=50)
+    assert clustered_mean(values, range(50)) == clustered_mean(values, range(50))
+    assert clustered_mean(values, range(50)) != clustered_mean(values, range(50), seed=1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([], []), "non-empty"),
+        (([1.0, np.nan], [0, 1]), "finite"),
+        (([1.0, 2.0], [0]), "equally many"),
+        (([1.0, 2.0], [0, 1], ["a"]), "equally many"),
+    ],
+)
+def test_wrong_lists_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        clustered_mean(*arguments)
+
+
+def test_intervals_of_independent_values_cover_the_mean_as_often_as_they_say():
+    rng = np.random.default_rng(6)
+    covered = 0
+    for _ in range(200):
+        low, high = bootstrap_interval([rng.normal(1.0, 2.0, size=60)], rng)
+        covered += low <= 1.0 <= high
+    assert 0.89 < covered / 200 < 0.99
+
+
+def test_every_group_of_independent_values_counts_the_same():
+    rng = np.random.default_rng(7)
+    few, many = rng.normal(size=40), rng.normal(size=400)
+    low, high = bootstrap_interval([few, many], rng)
+    half = 1.96 * np.sqrt(few.var() / 40 + many.var() / 400) / 2
+    assert high - low == pytest.approx(2 * half, rel=0.1)
+    assert (low + high) / 2 == pytest.approx((few.mean() + many.mean()) / 2, abs=half / 5)
+    assert bootstrap_interval([np.ones(5)], rng) == (1.0, 1.0)
+
+
+def test_long_lists_are_drawn_as_short_ones_are(monkeypatch):
+    values = np.random.default_rng(8).normal(size=30)
+    whole = bootstrap_interval([values], np.random.default_rng(9))
+    monkeypatch.setattr("two_view_pose.pose_estimator.evaluation.intervals._MAX_DRAWS", 1000)
+    assert bootstrap_interval([values], np.random.default_rng(9)) == whole
+
+
+@pytest.mark.parametrize("groups", [[], [np.ones(0)], [np.array([1.0, np.nan])], [np.ones((2, 2))]])
+def test_wrong_groups_are_refused(groups):
+    with pytest.raises(ValueError, match="group"):
+        bootstrap_interval(groups, np.random.default_rng(0))

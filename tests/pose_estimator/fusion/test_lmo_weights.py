@@ -1,0 +1,58 @@
+"""The weights for LM-O's objects: what they may hold, what they say, and that they work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from helpers.votes import check_sound
+from two_view_pose import assets, pose_estimator
+from two_view_pose.core.geometry import LINEMOD_K, View, make_transform
+from two_view_pose.pose_estimator.networks.weights import SHIPPED, read_header
+from two_view_pose.pose_estimator.visualization import ESTIMATE_COLOR, draw_poses
+
+NAMES = ("ape", "can", "cat", "driller", "duck", "eggbox", "glue", "holepuncher")
+
+
+def test_they_name_their_sources_and_hold_no_mesh():
+    header = read_header(SHIPPED / "lmo.safetensors")
+    for word in ("Hinterstoisser", "Brachmann", "BOP", "CC BY-SA 4.0"):
+        assert word in header["attribution"]
+    generated = header["trained_on"]["generate"]["settings"]
+    assert generated["look"] == "busy" and set(generated["objects"]) == set(NAMES)
+    assert (SHIPPED / "lmo.safetensors").stat().st_size <= 12e6
+    stored = [path for path in (SHIPPED / "lmo_objects").rglob("*") if path.is_file()]
+    assert {path.name for path in stored} == {"object.json"} and len(stored) == 8
+    assert sum(path.stat().st_size for path in stored) < 40e3
+
+
+def test_they_know_eight_objects_of_their_own():
+    objects = pose_estimator.load("mid", "lmo").networks.objects
+    assert tuple(objects) == NAMES
+    for name, model in objects.items():
+        ours = assets.load_object(name)
+        assert model.obj_id == ours.obj_id and not model.has_surface
+        assert np.abs(model.keypoints - ours.keypoints).max() > 1e-3
+        assert model.symmetric == (name in ("eggbox", "glue"))
+        assert model.diameter == pytest.approx(ours.diameter, rel=0.01)
+
+
+def test_any_picture_gets_a_sound_answer():
+    estimator = pose_estimator.load("mid", "lmo")
+    rng = np.random.default_rng(0)
+    pictures = rng.integers(0, 256, (2, 480, 640, 3), dtype=np.uint8)
+    aside = make_transform(np.eye(3), np.array([0.2, 0.0, 0.0]))
+    views = [View(pictures[0], LINEMOD_K, np.eye(4)), View(pictures[1], LINEMOD_K, aside)]
+    answer = estimator.estimate(views, "eggbox")
+    check_sound(answer, 2)
+    model = estimator.networks.objects["eggbox"]
+    drawn = draw_poses(pictures[0], model, {ESTIMATE_COLOR: answer.T_cam_obj}, LINEMOD_K)
+    assert drawn.shape == pictures[0].shape
+
+
+def test_what_they_know_cannot_be_drawn(tmp_path: Path):
+    folder = SHIPPED / "lmo_objects" / "duck"
+    with pytest.raises(ValueError, match=r"duck cannot be drawn.*Name its mesh file"):
+        gym.make("two_view_pose:TwoViewPose-v0", objects=[str(folder)], estimator=None)

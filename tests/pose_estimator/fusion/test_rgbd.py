@@ -1,0 +1,181 @@
+"""``rgbd`` with perfect 2D votes and ideal depth, and a network that fits what it is given."""
+
+import copy
+
+import numpy as np
+import pytest
+import torch
+from helpers.boxes_with_depth import box_depth
+from scipy.spatial.transform import Rotation
+from torch import nn
+from two_view_pose.core.geometry import (
+    LINEMOD_K,
+    View,
+    crop_matrix,
+    grid_matrix,
+    make_transform,
+    project,
+    transform,
+)
+from two_view_pose.pose_estimator.fusion.frontend import EncodedView
+from two_view_pose.pose_estimator.fusion.rgbd import RgbdEstimator
+from two_view_pose.pose_estimator.networks.container import PoseNetworks
+from two_view_pose.pose_estimator.networks.point_voting import PointConfig, PointVotes
+from two_view_pose.pose_estimator.types import Roi
+
+T_CAM_OBJ = make_transform(
+    Rotation.from_euler("xyz", [-2.0, 0.4, 0.3]).as_matrix(), np.array([0.08, -0.05, 0.85])
+)
+
+
+class Votes2D:
+    """Answers for the 2D part from the truth; remembers where it was told to look."""
+
+    _bfloat16 = False
+
+    def __init__(self, networks: PoseNetworks):
+        self.networks = networks
+        self.rois: list[Roi | None] = []
+
+    def encode_view(self, view, index, roi=None) -> EncodedView:
+        self.rois.append(roi)
+        model = list(self.networks.objects.values())[index]
+        config = self.networks.features.config
+        center = project(T_CAM_OBJ[:3, 3], view.K) + np.array([6, -4])
+        found = roi or Roi(center, 1.5 * model.diameter * view.K[0, 0] / T_CAM_OBJ[2, 3], 0.9)
+        to_grid = grid_matrix(config.stride) @ crop_matrix(found.center, found.side, config.crop)
+        K_grid = to_grid @ view.K
+        mask = box_depth(model, T_CAM_OBJ, K_grid, (config.grid, config.grid)) > 0
+        return EncodedView(
+            view=view,
+            roi=found,
+            K_grid=K_grid,
+            to_image=np.linalg.inv(to_grid),
+            volume=torch.zeros(config.volume_channels, config.grid, config.grid),
+            decoder=torch.zeros(config.width, config.grid, config.grid),
+            maps=(),
+            vote_mean=project(transform(T_CAM_OBJ, model.keypoints), K_grid),
+            vote_covariance=np.tile(np.eye(2) * 0.04, (9, 1, 1)),
+            vote_score=np.ones(9),
+            mask=mask.astype(float),
+        )
+
+    def encode(self, targets) -> list[EncodedView]:
+        return [self.encode_view(*target) for target in targets]
+
+    def encode_rotated(self, targets, turns) -> list[list[EncodedView]]:
+        return [[self.encode_view(*t)] * len(own) for t, own in zip(targets, turns, strict=True)]
+
+
+class FitsCenter(nn.Module):
+    """Stands in for the point network: knows the true pose, but places it where the cloud is."""
+
+    config = PointConfig(points=128)
+
+    def __init__(self, objects):
+        super().__init__()
+        self.objects = list(objects.values())
+        self.clouds: list[np.ndarray] = []
+
+    def forward(self, maps, cloud, index, diameter):
+        model = self.objects[int(index[0])]
+        points = (cloud.xyz[0] @ cloud.R_crop_cam[0])[cloud.valid[0]].double().numpy()
+        self.clouds.append(points)
+        rays = np.concatenate([project(points, LINEMOD_K), np.ones((len(points), 1))], 1)
+        rays = rays @ np.linalg.inv(LINEMOD_K).T
+        seen = np.array([box_hit(model, ray) for ray in rays])
+        shift = np.median(points[:, 2] - seen)  # along the ray of the middle
+        keypoints = transform(T_CAM_OBJ, model.keypoints) + np.array([0, 0, shift])
+        keypoints = torch.from_numpy(keypoints).float()[None]
+        covariance = torch.eye(3).expand(1, 9, 3, 3) * 1e-6
+        return PointVotes(keypoints[:, None], torch.zeros(1, 1, 9), keypoints, covariance)
+
+
+def box_hit(model, ray: np.ndarray) -> float:
+    """Depth of the true box along one ray; NaN beside it."""
+    K = np.array([[1, 0, -ray[0]], [0, 1, -ray[1]], [0, 0, 1.0]])
+    depth = float(box_depth(model, T_CAM_OBJ, K, (1, 1))[0, 0])
+    return depth or np.nan
+
+
+@pytest.fixture(scope="module")
+def depth(boxes) -> np.ndarray:
+    """The brick before a table of constant depth."""
+    seen = box_depth(boxes["brick"], T_CAM_OBJ, LINEMOD_K, (480, 640))
+    return np.where(seen > 0, seen, 1.1).astype(np.float32)
+
+
+@pytest.fixture
+def estimator(networks: PoseNetworks) -> RgbdEstimator:
+    networks = copy.deepcopy(networks)
+    networks.points = FitsCenter(networks.objects)
+    estimator = RgbdEstimator(networks)
+    estimator.frontend = Votes2D(networks)
+    return estimator
+
+
+def view(depth: np.ndarray | None) -> View:
+    return View(np.zeros((480, 640, 3), np.uint8), LINEMOD_K, np.eye(4), depth)
+
+
+def test_points_come_from_the_object_in_the_camera_and_the_pose_from_them(estimator, depth, boxes):
+    found = estimator.estimate([view(depth)], "brick")
+    clouds = estimator.networks.points.clouds
+    assert len(clouds) == 2  # it looks twice
+    half = np.abs(boxes["brick"].vertices).max(0)
+    for points in clouds:
+        assert len(points) > 100
+        in_object = (points - T_CAM_OBJ[:3, 3]) @ T_CAM_OBJ[:3, :3]
+        beside = np.abs(np.abs(in_object / half).max(1) - 1)
+        # The nearest pixel may be half a pixel beside the ray.
+        assert np.median(beside) < 0.02 and np.mean(beside < 0.1) > 0.95
+    np.testing.assert_allclose(found.T_cam_obj, T_CAM_OBJ, atol=2e-3)
+    truth = transform(T_CAM_OBJ, boxes["brick"].keypoints)
+    np.testing.assert_allclose(found.keypoints, truth, atol=2e-3)
+    assert found.T_cam_obj.dtype == np.float64 and found.keypoint_covariance.shape == (9, 3, 3)
+
+
+def test_the_second_look_is_around_the_first_pose(estimator, depth, boxes):
+    found = estimator.estimate([view(depth)], "brick")
+    first, second = estimator.frontend.rois
+    assert first is None
+    np.testing.assert_allclose(second.center, project(T_CAM_OBJ[:3, 3], LINEMOD_K), atol=1.5)
+    side = 1.4 * boxes["brick"].diameter * LINEMOD_K[0, 0] / T_CAM_OBJ[2, 3]
+    assert second.side == pytest.approx(side, rel=0.02)
+    assert len(found.rois) == 1 and found.rois[0].side > 1.05 * side  # the detector's own
+
+
+def test_the_sensors_depth_decides_the_distance(estimator, depth):
+    found = estimator.estimate([view(depth + 0.04)], "brick")
+    shift = found.T_cam_obj[:3, 3] - T_CAM_OBJ[:3, 3]
+    np.testing.assert_allclose(shift, [0, 0, 0.04], atol=6e-3)
+
+
+def test_holes_are_borne_and_no_depth_at_all_is_answered_from_the_picture(estimator, depth):
+    holes = depth.copy()
+    holes[np.random.default_rng(0).random(depth.shape) < 0.7] = 0
+    found = estimator.estimate([view(holes)], "brick")
+    np.testing.assert_allclose(found.T_cam_obj, T_CAM_OBJ, atol=3e-3)
+    blind = estimator.estimate([view(np.zeros_like(depth))], "brick")
+    single = estimator.from_one_view(estimator.frontend.encode_view(view(depth), 0), "brick")
+    np.testing.assert_allclose(blind.T_cam_obj, single.T_cam_obj)
+
+
+def test_further_views_are_ignored_and_answers_repeat(estimator, depth):
+    alone = estimator.estimate([view(depth)], "brick")
+    together = estimator.estimate([view(depth), view(None)], "brick")
+    np.testing.assert_array_equal(alone.T_cam_obj, together.T_cam_obj)
+    assert len(together.rois) == 1
+
+
+def test_a_given_region_replaces_the_detector(estimator, depth):
+    roi = Roi(project(T_CAM_OBJ[:3, 3], LINEMOD_K), 130.0, 1.0)
+    found = estimator.estimate([view(depth)], "brick", rois=[roi])
+    assert estimator.frontend.rois[0] is roi and found.rois == [roi]
+
+
+def test_a_view_without_depth_is_refused(estimator):
+    with pytest.raises(ValueError, match=r"rgbd needs the depth.*View\.depth"):
+        estimator.estimate([view(None)], "brick")
+    with pytest.raises(ValueError, match="at least one view"):
+        estimator.estimate([], "brick")

@@ -1,0 +1,265 @@
+"""What the fusions share: where they look, when, and that they agree on what they see."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.votes import T_WORLD_OBJ, PerfectVotes, camera, view
+from scipy.spatial.transform import Rotation
+from two_view_pose.core.geometry import (
+    LINEMOD_K,
+    View,
+    make_transform,
+    project,
+    rotation_matrix_2d,
+    transform,
+)
+from two_view_pose.pose_estimator.fusion.late import LateFusionEstimator
+from two_view_pose.pose_estimator.fusion.mid import MidFusionEstimator
+from two_view_pose.pose_estimator.fusion.single import SingleViewEstimator
+from two_view_pose.pose_estimator.fusion.symmetry_agreement import (
+    fit_multi_view_pose,
+    joint_pose,
+    resolve_symmetry_ambiguity,
+)
+from two_view_pose.pose_estimator.fusion.two_view import TwoViewEstimator
+from two_view_pose.pose_estimator.solvers.multi_view_pnp import SpacePoints
+from two_view_pose.pose_estimator.types import PoseEstimate, Roi, roi_of_pose, upright_roll
+
+FUSIONS = [LateFusionEstimator, MidFusionEstimator]
+
+
+def looking(networks, method, views, rois=None) -> tuple[PoseEstimate, list]:
+    """An estimate, and what its frontend was told of where to look."""
+    estimator = method(networks)
+    estimator.frontend = PerfectVotes(networks)
+    return estimator.estimate(views, "brick", rois), estimator.frontend.told
+
+
+def true_roi(networks, degrees: float) -> Roi:
+    model = networks.objects["brick"]
+    return roi_of_pose(camera(degrees) @ T_WORLD_OBJ, LINEMOD_K, model.diameter, 1.4)
+
+
+@pytest.mark.parametrize("method", FUSIONS)
+def test_every_view_is_looked_at_twice(networks, method):
+    found, told = looking(networks, method, [view(20), view(70)])
+    nothing, again = told[:2], told[2:]
+    assert nothing == [None, None]
+    assert len(again) == 2
+    # The second look is at the first fusion's pose, whatever that is worth.
+    for roi, degrees in zip(again, (20, 70), strict=True):
+        assert np.abs(roi.center - true_roi(networks, degrees).center).max() < 30
+    # The answer says where the object was found at first.
+    assert np.abs(found.rois[0].center - again[0].center).max() > 0.5
+
+
+@pytest.mark.parametrize("method", [SingleViewEstimator, *FUSIONS])
+def test_one_view_is_looked_at_once(networks, method):
+    found, told = looking(networks, method, [view(20)])
+    assert told == [None]
+    assert np.array_equal(
+        found.T_cam_obj, looking(networks, SingleViewEstimator, [view(20)])[0].T_cam_obj
+    )
+
+
+@pytest.mark.parametrize("method", [SingleViewEstimator, *FUSIONS])
+def test_regions_from_elsewhere_replace_the_detectors(networks, method):
+    rois = [true_roi(networks, 20), true_roi(networks, 70)]
+    found, told = looking(networks, method, [view(20), view(70)], rois)
+    seen = 1 if method is SingleViewEstimator else 2
+    assert told[:seen] == rois[:seen]
+    assert found.rois == rois[:seen]
+    with pytest.raises(ValueError, match="one region for each of the 2 views, got 1"):
+        looking(networks, method, [view(20), view(70)], rois[:1])
+
+
+def test_a_region_of_a_pose_holds_the_object(networks):
+    model = networks.objects["brick"]
+    T = camera(30) @ T_WORLD_OBJ
+    roi = true_roi(networks, 30)
+    pixels = project(transform(T, model.vertices), LINEMOD_K)
+    assert np.abs(pixels - roi.center).max() < roi.side / 2
+    ends = T[:3, 3] + np.array([[-0.5, 0, 0], [0.5, 0, 0]]) * model.diameter
+    assert roi.side == pytest.approx(1.4 * np.ptp(project(ends, LINEMOD_K)[:, 0]))
+    behind = roi_of_pose(np.diag([1.0, 1, -1, 1]) @ T, LINEMOD_K, model.diameter, 1.4)
+    assert np.isfinite([*behind.center, behind.side]).all() and behind.side > 0
+
+
+def test_the_views_are_searched_together(networks):
+    """What the frontend finds in all views at once is what each is then encoded at."""
+
+    class Together(PerfectVotes):
+        def regions(self, requests):
+            return [[None, true_roi(networks, 70)]]
+
+    estimator = LateFusionEstimator(networks)
+    estimator.frontend = Together(networks)
+    found = estimator.estimate([view(20), view(70)], "brick")
+    assert estimator.frontend.told[0] is None
+    np.testing.assert_array_equal(found.rois[1].center, true_roi(networks, 70).center)
+
+
+def test_votes_are_renumbered_to_the_references(networks):
+    model = networks.objects["crate"]
+    frontend = PerfectVotes(networks, (0, 1, 1))
+    encoded = [frontend.encode_view(view(degrees), 1) for degrees in (20, 65, -10)]
+    agreed, points = resolve_symmetry_ambiguity(encoded, model)
+    truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
+    np.testing.assert_allclose(points, truth, atol=1e-4)
+    for seen, degrees in zip(agreed, (20, 65, -10), strict=True):
+        expected = project(transform(camera(degrees) @ T_WORLD_OBJ, model.keypoints), seen.K_grid)
+        np.testing.assert_allclose(seen.vote_mean, expected, atol=1e-6)
+    # What was given is as it was.
+    assert not np.allclose(encoded[1].vote_mean, agreed[1].vote_mean, atol=0.5)
+
+
+@pytest.mark.parametrize("degrees", [21.0, 65.0])
+def test_the_joint_pose_is_the_truth_whatever_the_baseline(networks, degrees):
+    model = networks.objects["brick"]
+    first, _ = looking(networks, SingleViewEstimator, [view(20)])
+    frontend = PerfectVotes(networks)
+    encoded = [frontend.encode_view(view(d), 0) for d in (20, degrees)]
+    truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
+    wrong = truth + np.array([0, 0, 0.3])  # as a triangulation with hardly any baseline may be
+    T = joint_pose(encoded, wrong, model, first)
+    np.testing.assert_allclose(transform(T, model.keypoints), truth, atol=2e-3)
+
+
+def test_votes_that_no_pose_explains_leave_the_pose_that_was_known(networks):
+    model = networks.objects["brick"]
+    first, _ = looking(networks, SingleViewEstimator, [view(20)])
+    away = make_transform(np.diag([-1.0, 1, -1]), [0, 0, -5.0])  # behind the second camera
+    frontend = PerfectVotes(networks)
+    encoded = [frontend.encode_view(view(20), 0), frontend.encode_view(view(70), 0)]
+    lost = replace(encoded[1], view=View(encoded[1].view.image, LINEMOD_K, away))
+    far = np.full((9, 3), 50.0)
+    joint = joint_pose([encoded[0], lost], far, model, first)
+    assert np.array_equal(joint, first.T_cam_obj)
+
+
+def test_a_joint_pose_far_from_what_was_known_is_not_believed(networks):
+    """Two views that show different things meet somewhere far away."""
+    model = networks.objects["brick"]
+    first, _ = looking(networks, SingleViewEstimator, [view(20)])
+    frontend = PerfectVotes(networks)
+    encoded = [frontend.encode_view(view(d), 0) for d in (20, 23)]
+    # The second view votes for something where the rays meet at twice the depth.
+    T = camera(20) @ T_WORLD_OBJ
+    T[2, 3] *= 2
+    T[:2, 3] *= 2
+    elsewhere = camera(23) @ np.linalg.inv(camera(20)) @ T
+    votes = project(transform(elsewhere, model.keypoints), encoded[1].K_grid)
+    encoded[1] = replace(encoded[1], vote_mean=votes)
+    joint = joint_pose(encoded, transform(T, model.keypoints), model, first)
+    depth = float(joint[2, 3] / first.T_cam_obj[2, 3])
+    assert 1 / 1.5 < depth < 1.5
+
+
+def test_collapsed_votes_leave_the_object_at_the_depth_of_its_region(networks):
+    """All votes in one point fit an object that is far away."""
+    model = networks.objects["brick"]
+    estimator = SingleViewEstimator(networks)
+    frontend = PerfectVotes(networks)
+    encoded = frontend.encode_view(view(20), 0)
+    assert estimator.from_one_view(encoded, "brick").T_cam_obj[2, 3] == pytest.approx(0.9, abs=0.1)
+    middle = encoded.vote_mean[-1] + 0.02 * (encoded.vote_mean - encoded.vote_mean[-1])
+    found = estimator.from_one_view(replace(encoded, vote_mean=middle), "brick")
+    region = found.rois[0]
+    placed = roi_of_pose(found.T_cam_obj, LINEMOD_K, model.diameter, 1.4)
+    assert placed.side == pytest.approx(region.side, rel=0.01)
+    assert np.abs(placed.center - region.center).max() < 1
+    assert np.isfinite(found.keypoint_covariance).all()
+    # Whoever fuses it is told how little it is worth.
+    assert found.keypoint_covariance[0, 2, 2] > (0.3 * model.diameter) ** 2
+
+
+def test_points_in_space_and_votes_are_weighed_by_their_covariances(networks):
+    """The points lie 2 cm deeper than the votes say."""
+    model = networks.objects["brick"]
+    first, _ = looking(networks, SingleViewEstimator, [view(20)])
+    frontend = PerfectVotes(networks)
+    encoded = [frontend.encode_view(view(d), 0) for d in (20, 65)]
+    truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
+    deeper = truth + np.array([0, 0, 0.02])
+    depths = []
+    for deviation in (1.0, 1e-4):
+        points = SpacePoints(deeper, np.tile(np.eye(3) * deviation**2, (9, 1, 1)))
+        T = fit_multi_view_pose(encoded, model, [first.T_cam_obj], points)
+        depths.append(transform(T, model.keypoints)[-1, 2] - truth[-1, 2])
+    assert depths[0] == pytest.approx(0.0, abs=1e-4)
+    assert depths[1] == pytest.approx(0.02, abs=1e-3)
+    with pytest.raises(ValueError, match="points must be"):
+        fit_multi_view_pose(
+            encoded, model, [first.T_cam_obj], SpacePoints(deeper[:8], np.ones((8, 3, 3)))
+        )
+
+
+def test_wrong_calls_are_refused(networks):
+    with pytest.raises(ValueError, match="unknown solver 'best'; there are soft, kabsch, hard"):
+        MidFusionEstimator(networks, "best")
+    with pytest.raises(ValueError, match="do not know the object 'teapot'; they know brick, crate"):
+        LateFusionEstimator(networks).estimate([view(0)], "teapot")
+    with pytest.raises(ValueError, match="at least one view"):
+        LateFusionEstimator(networks).estimate([], "brick")
+    with pytest.raises(TypeError, match="fuse"):
+        TwoViewEstimator(networks)
+
+
+@pytest.mark.parametrize("roll", [-2.5, -0.7, 0.0, 0.3, 1.2])
+def test_an_upright_turn_makes_the_axis_point_up(roll):
+    T = rolled(roll) @ camera(35) @ T_WORLD_OBJ
+    ends = project(transform(T, np.array([[0, 0, 0], [0, 0, 1e-4]])), LINEMOD_K)
+    along = rotation_matrix_2d(upright_roll(T, LINEMOD_K), 128)[:2, :2] @ (ends[1] - ends[0])
+    assert along[1] < 0 and abs(along[0]) < 1e-3 * abs(along[1])
+
+
+def test_an_axis_towards_the_camera_has_no_upright():
+    above = make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 0.8]))
+    assert upright_roll(above, LINEMOD_K) is None
+    assert upright_roll(make_transform(np.eye(3), np.array([0.0, 0, -0.5])), LINEMOD_K) is None
+
+
+def rolled(angle: float) -> np.ndarray:
+    """The motion (4, 4) of a camera that is turned about its line of sight."""
+    return make_transform(Rotation.from_euler("z", angle).as_matrix(), np.zeros(3))
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.8, 2.4])
+def test_the_second_look_shows_the_object_upright(networks, roll):
+    asked = []
+
+    class Turned(PerfectVotes):
+        def encode_rotated(self, targets, turns):
+            asked.extend(map(tuple, turns))
+            return super().encode_rotated(targets, turns)
+
+    views = [replace(view(d), T_cam_world=rolled(roll) @ camera(d)) for d in (20, 70)]
+    estimator = LateFusionEstimator(networks)
+    estimator.frontend = Turned(networks)
+    found = estimator.estimate(views, "brick")
+    upright = upright_roll(found.T_cam_obj, LINEMOD_K)
+    assert asked[0][0] == pytest.approx(np.clip(upright, -1.5, 1.5), abs=0.1)
+    assert asked[0][0] == pytest.approx(max(-roll, -1.5), abs=0.1)
+    assert min(asked[0]) == asked[0][0] - 0.2 and max(asked[0]) == asked[0][0] + 0.2
+
+
+def test_where_upright_has_no_meaning_the_turn_of_the_first_look_is_kept(networks):
+    asked = []
+
+    class Turned(PerfectVotes):
+        def encode_view(self, view, index, roi=None):
+            return replace(super().encode_view(view, index, roi), roll=0.5 * self.calls)
+
+        def encode_rotated(self, targets, turns):
+            asked.extend(own[0] for own in turns)
+            return super().encode_rotated(targets, turns)
+
+    estimator = LateFusionEstimator(networks)
+    estimator.frontend = Turned(networks)
+    [sighting] = estimator.encode_views([([view(20)], "brick")])
+    above = make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 0.9]))
+    estimator.refine([replace(sighting, first=replace(sighting.first, T_cam_obj=above))])
+    assert asked == [0.5]

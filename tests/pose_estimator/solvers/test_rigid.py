@@ -1,0 +1,210 @@
+"""The three solvers against SciPy's alignment and a RANSAC that loops."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from two_view_pose.pose_estimator.solvers.rigid import SOLVERS, solve, solve_pose
+
+DIAMETER = 0.2
+
+
+def scene(seed: int, batch: int = 6) -> tuple[np.ndarray, np.ndarray, np.random.Generator]:
+    """Model keypoints (9, 3) and where poses put them, (B, 9, 3)."""
+    rng = np.random.default_rng(seed)
+    model = rng.uniform(-0.07, 0.07, (9, 3))
+    rotations = Rotation.random(batch, rng=rng).as_matrix()
+    shifts = rng.normal(size=(batch, 1, 3)) * 0.1 + [0, 0, 0.9]
+    return model, model @ rotations.transpose(0, 2, 1) + shifts, rng
+
+
+def fit(model: np.ndarray, points: np.ndarray, weights=None) -> tuple[np.ndarray, np.ndarray]:
+    """SciPy's least-squares motion."""
+    weights = np.ones(len(model)) if weights is None else weights
+    a, b = (np.average(x, axis=0, weights=weights) for x in (points, model))
+    rotation = Rotation.align_vectors(points - a, model - b, weights=weights)[0].as_matrix()
+    return rotation, a - rotation @ b
+
+
+def distance(model: np.ndarray, motion, truth: np.ndarray) -> np.ndarray:
+    """Mean distance of the keypoints under each motion from the truth, (B,)."""
+    moved = model @ motion.rotation.numpy().transpose(0, 2, 1) + motion.translation.numpy()[:, None]
+    return np.linalg.norm(moved - truth, axis=-1).mean(1)
+
+
+def run(model: np.ndarray, predicted: np.ndarray, solver: str, covariance=None):
+    covariance = None if covariance is None else torch.from_numpy(covariance)
+    return solve(torch.from_numpy(model), torch.from_numpy(predicted), DIAMETER, solver, covariance)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_exact_without_noise(solver):
+    model, truth, _ = scene(0)
+    assert distance(model, run(model, truth, solver), truth).max() < 1e-6
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_each_pose_of_a_batch_is_as_if_alone(solver):
+    model, truth, rng = scene(1)
+    predicted = truth + rng.normal(0, 0.01, truth.shape)
+    diameters = torch.linspace(0.1, 0.3, len(truth))
+    together = solve(torch.from_numpy(model), torch.from_numpy(predicted), diameters, solver)
+    for i, diameter in enumerate(diameters):
+        alone = solve(
+            torch.from_numpy(model), torch.from_numpy(predicted[i : i + 1]), float(diameter), solver
+        )
+        torch.testing.assert_close(alone.rotation[0], together.rotation[i], rtol=0, atol=1e-6)
+        torch.testing.assert_close(alone.translation[0], together.translation[i], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_models_of_their_own(solver):
+    """Poses of several objects at once, one of which has keypoints on a line."""
+    models, predicted = [], []
+    for seed in range(4):
+        model, truth, rng = scene(20 + seed, batch=1)
+        if seed == 2:
+            model[3] = (model[0] + model[1]) / 2
+        models.append(model)
+        predicted.append(truth[0] + rng.normal(0, 0.02, (9, 3)))
+    together = run(np.stack(models), np.stack(predicted), solver)
+    for i, (model, points) in enumerate(zip(models, predicted, strict=True)):
+        alone = run(model, points[None], solver)
+        np.testing.assert_allclose(together.rotation[i], alone.rotation[0], atol=1e-12)
+        np.testing.assert_allclose(together.translation[i], alone.translation[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_no_poses(solver):
+    model, truth, _ = scene(30)
+    found = run(model, truth[:0], solver)
+    assert found.rotation.shape == (0, 3, 3) and found.translation.shape == (0, 3)
+
+
+def test_kabsch_weighs_keypoints_by_their_precision():
+    model, truth, rng = scene(2)
+    deviation = rng.uniform(0.002, 0.03, (6, 9))
+    predicted = truth + rng.normal(size=truth.shape) * deviation[..., None]
+    covariance = deviation[..., None, None] ** 2 * np.eye(3)
+    weighted, plain = (run(model, predicted, "kabsch", c) for c in (covariance, None))
+    for i in range(6):
+        # A hundredth of the diameter is the floor.
+        rotation, translation = fit(model, predicted[i], 1 / (deviation[i] ** 2 + 0.002**2))
+        np.testing.assert_allclose(weighted.rotation[i], rotation, atol=1e-6)
+        np.testing.assert_allclose(weighted.translation[i], translation, atol=1e-6)
+        np.testing.assert_allclose(plain.rotation[i], fit(model, predicted[i])[0], atol=1e-6)
+
+
+def looping_ransac(model: np.ndarray, predicted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every triple in turn; the most inliers win, then the least squared and cut distances."""
+    best, chosen = (-1, np.inf), None
+    for corners in map(list, combinations(range(9), 3)):
+        rotation, translation = fit(model[corners], predicted[corners])
+        distances = np.linalg.norm(model @ rotation.T + translation - predicted, axis=1)
+        inliers = distances < 0.2 * DIAMETER
+        score = (inliers.sum(), -(np.minimum(distances, 0.2 * DIAMETER) ** 2).sum())
+        if chosen is None or score > best:
+            best, chosen = score, inliers
+    return fit(model[chosen], predicted[chosen])
+
+
+def test_hard_is_ransac_over_all_triples():
+    model, truth, rng = scene(3)
+    predicted = truth + rng.normal(0, 0.012, truth.shape)
+    predicted[:, :3] += rng.normal(0, 0.1, (6, 3, 3))
+    found = run(model, predicted, "hard")
+    for i in range(6):
+        rotation, translation = looping_ransac(model, predicted[i])
+        np.testing.assert_allclose(found.rotation[i], rotation, atol=1e-5)
+        np.testing.assert_allclose(found.translation[i], translation, atol=1e-5)
+
+
+@pytest.mark.parametrize(("solver", "robust"), [("soft", True), ("hard", True), ("kabsch", False)])
+def test_gross_outliers(solver, robust):
+    model, truth, rng = scene(4, batch=40)
+    predicted = truth + rng.normal(0, 0.003, truth.shape)
+    predicted[:, 2:5] += rng.normal(0, 0.15, (40, 3, 3))
+    errors = distance(model, run(model, predicted, solver), truth)
+    assert (errors < 0.1 * DIAMETER).all() == robust
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_keypoint_known_to_be_poor_counts_less(solver):
+    model, truth, rng = scene(5, batch=40)
+    predicted = truth + rng.normal(0, 0.002, truth.shape)
+    predicted[:, 0] += 0.03  # within the inliers
+    covariance = np.tile(np.eye(3) * 0.002**2, (40, 9, 1, 1))
+    covariance[:, 0] = np.eye(3) * 0.05**2
+    knowing, trusting = (
+        distance(model, run(model, predicted, solver, c), truth).mean() for c in (covariance, None)
+    )
+    assert knowing < 0.85 * trusting
+
+
+@pytest.mark.parametrize("solver", ["soft", "kabsch"])
+def test_gradient_is_the_finite_difference(solver):
+    model, truth, rng = scene(6, batch=2)
+    predicted = torch.tensor(truth + rng.normal(0, 0.01, truth.shape), requires_grad=True)
+    covariance = torch.from_numpy(rng.uniform(1e-5, 1e-3, (2, 9, 1, 1)) * np.eye(3))
+
+    def pose(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return tuple(solve(torch.from_numpy(model), points, DIAMETER, solver, covariance))
+
+    assert torch.autograd.gradcheck(pose, predicted, eps=1e-7, atol=1e-4)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("kind", ["coincident", "collinear", "far apart", "without trust"])
+def test_degenerate_keypoints_give_finite_rotations(solver, kind):
+    model, truth, rng = scene(7)
+    predicted, covariance = truth.copy(), np.tile(np.eye(3), (6, 9, 1, 1))
+    if kind == "coincident":
+        predicted[:] = [0, 0, 1.0]
+    if kind == "collinear":
+        predicted[:] = np.linspace(0, 0.2, 9)[:, None]
+    if kind == "far apart":
+        predicted += rng.normal(0, 10, predicted.shape)
+    if kind == "without trust":
+        covariance *= 1e12
+    points = torch.from_numpy(predicted).float().requires_grad_()
+    found = solve(
+        torch.from_numpy(model).float(), points, DIAMETER, solver, torch.from_numpy(covariance)
+    )
+    (found.rotation.sum() + found.translation.square().sum()).backward()
+    assert torch.isfinite(points.grad).all() and torch.isfinite(found.translation).all()
+    torch.testing.assert_close(torch.linalg.det(found.rotation), torch.ones(6))
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_one_object_in_arrays(solver):
+    model, truth, _ = scene(8)
+    T = solve_pose(model, truth[0], DIAMETER, solver, np.tile(np.eye(3), (9, 1, 1)))
+    assert T.dtype == np.float64
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(model @ T[:3, :3].T + T[:3, 3], truth[0], atol=1e-5)
+
+
+def test_estimating_first_does_not_spoil_training():
+    model, truth, _ = scene(9)
+    # Ten keypoints: no other test has left anything in the caches.
+    model, truth = (np.concatenate([a, a[..., :1, :] + 0.05], -2) for a in (model, truth))
+    with torch.inference_mode():
+        run(model, truth, "soft")
+    points = torch.from_numpy(truth).requires_grad_()
+    solve(torch.from_numpy(model), points, DIAMETER).translation.sum().backward()
+    assert torch.isfinite(points.grad).all()
+
+
+def test_wrong_inputs_are_named():
+    model, truth, _ = scene(10)
+    with pytest.raises(ValueError, match="unknown solver 'best'; there are soft, kabsch, hard"):
+        run(model, truth, "best")
+    for solver in SOLVERS:
+        with pytest.raises(ValueError, match="model_points must be"):
+            run(model[:8], truth, solver)
+        with pytest.raises(ValueError, match=r"covariance must be \(6, 9, 3, 3\)"):
+            run(model, truth, solver, np.ones((6, 9, 3)))

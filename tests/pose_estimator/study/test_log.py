@@ -1,0 +1,57 @@
+"""What is kept of a study that was killed."""
+
+from dataclasses import replace
+
+import pytest
+from two_view_pose.pose_estimator.study.log import OutcomeLog, PairOutcome
+
+FIRST = PairOutcome(3, 0, 5, "cat", 5, 0.02, (0.001, 0.003), 0.8, 0.9, 4.5, 0.1, {"soft": 0.02})
+SECOND = replace(FIRST, ref_image_id=1, error=0.3)
+KEY = {"unit": {"gaps": (1, 5)}, "seed": 0}
+
+
+def test_the_mean_over_the_keypoints():
+    assert FIRST.keypoint_distance == pytest.approx(0.002)
+
+
+def test_outcomes_come_back(tmp_path):
+    path = tmp_path / "sub" / "a.jsonl"
+    OutcomeLog(path, KEY, "one").add([FIRST, SECOND])
+    again = OutcomeLog(path, KEY, "two")
+    assert again.outcomes == [FIRST, SECOND]
+    assert again.commits == ["one", "two"]
+
+
+def test_half_a_line_is_forgotten(tmp_path):
+    path = tmp_path / "a.jsonl"
+    OutcomeLog(path, KEY).add([FIRST, SECOND])
+    path.write_text(path.read_text()[:-40])
+    log = OutcomeLog(path, KEY)
+    assert log.outcomes == [FIRST]
+    log.add([SECOND])
+    assert OutcomeLog(path, KEY).outcomes == [FIRST, SECOND]
+
+
+def test_outcomes_of_another_key_are_reported_and_kept(tmp_path):
+    path = tmp_path / "a.jsonl"
+    OutcomeLog(path, KEY, "one").add([FIRST])
+    before = path.read_text()
+    with pytest.raises(
+        ValueError, match=r"a\.jsonl was measured with another seed; choose another"
+    ):
+        OutcomeLog(path, {**KEY, "seed": 1}, "two")
+    with pytest.raises(ValueError, match="another format, networks;"):
+        OutcomeLog(path, {**KEY, "format": 2, "networks": "0123"})
+    assert path.read_text() == before
+
+
+@pytest.mark.parametrize("line", ["[1, 2]", "nonsense", '{"error": 0.1}', ""])
+def test_files_of_something_else_are_refused(tmp_path, line):
+    path = tmp_path / "a.jsonl"
+    OutcomeLog(path, KEY).add([FIRST])
+    path.write_text(path.read_text() + line + "\n")
+    with pytest.raises(ValueError, match=r"a\.jsonl is not a file of outcomes"):
+        OutcomeLog(path, KEY)
+    path.write_text(line + "\n")
+    with pytest.raises(ValueError, match="is not a file of outcomes"):
+        OutcomeLog(path, KEY)

@@ -1,0 +1,55 @@
+"""A checkpoint comes back as it went, and whoever is killed while saving leaves the old one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import nn
+from two_view_pose.pose_estimator.training.checkpoints import (
+    load_checkpoint,
+    read_numbers,
+    save_checkpoint,
+)
+
+
+def network(value: float, width: int = 3) -> nn.Module:
+    """A layer and a batch norm, which has a buffer of whole numbers."""
+    net = nn.Sequential(nn.Linear(width, 2), nn.BatchNorm1d(2))
+    for parameter in net.parameters():
+        nn.init.constant_(parameter, value)
+    net[1].num_batches_tracked += round(10 * value)
+    return net
+
+
+def test_what_was_saved_is_loaded(tmp_path: Path):
+    path = tmp_path / "features.safetensors"
+    state = {"optimizer.0.weight.exp_avg": torch.arange(6.0).reshape(2, 3).T}
+    save_checkpoint(path, network(0.5), state, {"step": 12})
+    net = network(0.1)
+    kept = load_checkpoint(net, path)
+    assert kept.keys() == state.keys() and read_numbers(path) == {"step": 12}
+    assert all(torch.equal(kept[name], tensor) for name, tensor in state.items())
+    expected = network(0.5).state_dict()
+    assert all(torch.equal(net.state_dict()[name], t) for name, t in expected.items())
+
+
+def test_networks_of_another_shape_are_refused(tmp_path: Path):
+    save_checkpoint(tmp_path / "a.safetensors", network(0.5), {}, {"step": 1})
+    with pytest.raises(ValueError, match="networks of another shape; give another --out"):
+        load_checkpoint(network(0.5, width=4), tmp_path / "a.safetensors")
+
+
+def test_a_checkpoint_that_cannot_be_finished_leaves_the_old_one(tmp_path: Path, monkeypatch):
+    path = tmp_path / "features.safetensors"
+    save_checkpoint(path, network(0.5), {}, {"step": 1})
+    before = path.read_bytes()
+
+    def broken(self: Path, target: Path) -> Path:
+        raise OSError("disk full")
+
+    monkeypatch.setattr(Path, "replace", broken)
+    with pytest.raises(OSError, match="disk full"):
+        save_checkpoint(path, network(0.7), {}, {"step": 2})
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,162 @@
+"""Options of the command that change what is trained, and where it starts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+from two_view_pose import assets, pose_estimator
+from two_view_pose.pose_estimator.networks.container import PoseNetworks
+from two_view_pose.pose_estimator.networks.volume import PRESETS, LevelConfig
+from two_view_pose.pose_estimator.networks.weights import read_header, read_networks, save_weights
+from two_view_pose.pose_estimator.training import config as training_config
+from two_view_pose.pose_estimator.training.config import TrainEstimatorConfig
+from two_view_pose.pose_estimator.training.train_estimator import train_estimator
+from two_view_pose.pose_estimator.training.volume_stage import VolumeStage
+from two_view_pose.pose_estimator.training_data.crops import CropPack
+from two_view_pose.pose_estimator.training_data.cut_and_paste import CropPaster, CutAndPasteConfig
+from two_view_pose.pose_estimator.training_data.dataset import TrainingSet
+
+
+@pytest.fixture
+def finished(boxes, tmp_path: Path) -> Path:
+    """Weights of all three parts, with the preset ``fast``."""
+    torch.manual_seed(0)
+    networks = PoseNetworks(boxes)
+    networks.trained = frozenset({"detector", "features", "volume"})
+    save_weights(networks, tmp_path / "finished.safetensors", {"what": "test"})
+    return tmp_path / "finished.safetensors"
+
+
+def quick(monkeypatch, boxes) -> None:
+    """Lets a training take a second."""
+    monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
+    monkeypatch.setattr(VolumeStage, "validate", lambda self: {"figure": 0.5})
+    one = replace(training_config.PAPER_VOLUME, batch=1)
+    monkeypatch.setitem(training_config.STAGE_DEFAULTS, "volume", one)
+    monkeypatch.setattr(training_config, "PAPER_VOLUME", one)
+
+
+def test_a_paper_volume_is_trained_on_finished_features(
+    dataset: Path, pack: CropPack, boxes, finished: Path, tmp_path: Path, monkeypatch, capsys
+):
+    quick(monkeypatch, boxes)
+    # The paper's but for the number of voxels.
+    coarse = replace(PRESETS["paper"].coarse, cells=6)
+    fine = LevelConfig(cells=None, half_size=0.65, cell_size=0.03)
+    monkeypatch.setitem(PRESETS, "paper", replace(PRESETS["paper"], coarse=coarse, fine=fine))
+    heard = []
+    loss = VolumeStage.loss
+    monkeypatch.setattr(
+        VolumeStage, "loss", lambda self, batch: heard.append(loss(self, batch)) or heard[-1]
+    )
+    path = train_estimator(
+        TrainEstimatorConfig(
+            data=dataset, out=tmp_path / "out", stages=("volume",), preset="paper", volume_steps=1,
+            init=str(finished), validation=0.3, threads=1, workers=0,
+            pose_noise=(1.0, 5.0), pose_loss=0.5,
+        )
+    )  # fmt: skip
+    ((_, parts),) = heard
+    assert {"coarse_pose", "pose", "coarse_distance", "fine_distance"} <= set(parts)
+    header = read_header(path)
+    assert header["networks"]["preset"] == "paper"
+    assert header["trained"] == ["detector", "features", "volume"]
+    assert header["training"]["pose_noise"] == {"degrees": 1.0, "millimeters": 5.0}
+    assert header["training"]["pose_loss"] == 0.5 and header["training"]["cut_and_paste"] == 0
+    before, after = load_file(finished), load_file(path)
+    for name in before:
+        if not name.startswith(("volume.", "features.decoders.0.volume_head.")):
+            assert torch.equal(before[name], after[name]), name
+    assert pose_estimator.load("mid", path).object_names == ("brick", "crate")
+    assert "does not fit and starts untrained: volume" in capsys.readouterr().out
+
+
+def test_options_reach_the_stage_in_meters_and_the_sets(
+    dataset: Path, pack: CropPack, boxes, finished: Path, tmp_path: Path, monkeypatch
+):
+    quick(monkeypatch, boxes)
+    stages, pasted = [], []
+    paste = CropPaster.paste
+
+    def listen(self, *args):
+        pasted.append(self.config)
+        return paste(self, *args)
+
+    def keep(stage, loop, log) -> int:
+        stages.append(stage)
+        return stage.steps
+
+    monkeypatch.setattr(CropPaster, "paste", listen)
+    monkeypatch.setattr("two_view_pose.pose_estimator.training.trainer.run_stage", keep)
+    config = TrainEstimatorConfig(
+        data=dataset, out=tmp_path / "out", stages=("volume",), init=str(finished),
+        validation=0.3, threads=1, workers=0,
+        pose_noise=(2.0, 10.0), pose_loss=0.0, cut_and_paste=0.5,
+    )  # fmt: skip
+    train_estimator(config)
+    (stage,) = stages
+    assert stage.pose_noise == (2.0, 0.01) and stage.pose_weight == 0
+    stage.train.draw_target(np.random.default_rng(0))
+    assert pasted == [CutAndPasteConfig(0.5, 0.5)]
+    stage.held_out.draw_target(np.random.default_rng(0))
+    assert len(pasted) == 1
+
+
+def test_a_new_volume_leaves_the_parts_that_do_not_read_it(
+    dataset: Path, pack: CropPack, boxes, tmp_path: Path, monkeypatch
+):
+    quick(monkeypatch, boxes)
+    networks = PoseNetworks(boxes)
+    networks.trained = frozenset({"detector", "features", "points", "cascade"})
+    points = {n: t.clone() for n, t in networks.points.state_dict().items()}
+    save_weights(networks, tmp_path / "first.safetensors", {})
+    config = TrainEstimatorConfig(
+        data=dataset, out=tmp_path / "out", stages=("volume",), volume_steps=1, validation=0.3,
+        init=str(tmp_path / "first.safetensors"), threads=1, workers=0,
+    )  # fmt: skip
+    path = train_estimator(config)
+    assert read_header(path)["trained"] == ["detector", "features", "volume", "cascade", "points"]
+    kept = read_networks(path).points.state_dict()
+    assert all(torch.allclose(kept[n], t, atol=1e-3) for n, t in points.items())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"pose_noise": (-1.0, 0.0)}, "pose_noise must be finite and at least 0"),
+        ({"pose_noise": (0.0, float("inf"))}, "pose_noise must be finite"),
+        ({"pose_loss": -0.1}, "pose_loss must be finite and at least 0, got -0.1"),
+        ({"workers": -1}, "workers must be at least 0, got -1"),
+        ({"max_minutes": float("inf")}, "max_minutes must be finite and at least 0, got inf"),
+        ({"lr_cycles": 0}, "lr_cycles must be at least 1, got 0"),
+        ({"cut_and_paste": 1.2}, "cut_and_paste must be 0 to 1, got 1.2"),
+    ],
+)
+def test_wrong_options_are_told(tmp_path: Path, options, message):
+    with pytest.raises(ValueError, match=message):
+        TrainEstimatorConfig(data=tmp_path, out=tmp_path, **options)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA GPU")
+def test_a_gpu_that_is_not_there_is_told_before_any_work(dataset: Path, tmp_path: Path):
+    with pytest.raises(ValueError, match=r"device 'cuda:3': .* use cpu or auto"):
+        train_estimator(TrainEstimatorConfig(data=dataset, out=tmp_path / "out", device="cuda:3"))
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_scene_is_told_before_any_training(boxes, pack: CropPack):
+    alone = replace(pack, scene_id=pack.scene_id * 0)
+    with pytest.raises(ValueError, match="Generate more scenes"):
+        TrainingSet(alone, boxes, PoseNetworks(boxes).config.features)
+
+
+def test_a_dataset_that_is_not_there_is_named_first(tmp_path, monkeypatch):
+    monkeypatch.delenv("BOP_PATH", raising=False)
+    with pytest.raises(ValueError, match=r"no dataset .*nowhere: .* set BOP_PATH"):
+        train_estimator(TrainEstimatorConfig(data=tmp_path / "nowhere", out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
