@@ -18,10 +18,10 @@ from ...assets.storage import read_object, save_object
 from ...core.errors import InputError
 from ...core.files import write_atomically
 from ...core.results import commit, versions
+from ..methods import OPTIONAL_PARTS, PARTS
 from .container import NetworkConfig, PoseNetworks
 from .detector import DetectorConfig
 from .features import FeatureConfig
-from .parts import OPTIONAL_PARTS, PARTS
 from .quantization import pack, quantizable, unpack
 
 FORMAT = 3

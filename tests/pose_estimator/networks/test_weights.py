@@ -9,8 +9,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 from two_view_pose import pose_estimator
+from two_view_pose.pose_estimator.methods import OPTIONAL_PARTS, PARTS
 from two_view_pose.pose_estimator.networks.container import NetworkConfig, PoseNetworks
-from two_view_pose.pose_estimator.networks.parts import OPTIONAL_PARTS, PARTS
 from two_view_pose.pose_estimator.networks.weights import (
     find_weights,
     load_networks,
