@@ -1,4 +1,4 @@
-"""The one table of estimation methods: a new one is one file and one row here."""
+"""The one table of estimation methods, and the networks that they run."""
 
 from __future__ import annotations
 
@@ -7,6 +7,12 @@ from importlib import import_module
 from typing import Any
 
 from ..core.errors import InputError
+
+PARTS = ("detector", "features", "volume", "cascade", "points")
+"""The networks, in the order of their training."""
+
+OPTIONAL_PARTS = ("cascade", "points")
+"""Networks that weights may lack: those of ``early`` and ``rgbd``."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +24,7 @@ class Method:
         summary: one line.
         views: how many views it uses, 1 or 2; one of 2 uses further views too.
         needs_depth: whether the reference view must have a sensor's depth map.
-        parts: the networks that it runs, of ``parts.PARTS``.
+        parts: the networks that it runs, of ``PARTS``.
         estimator: its class, ``module:Class`` in this package.
         color: of its curve in plots.
         marker: of its points in plots, as Matplotlib names them.

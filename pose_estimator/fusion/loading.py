@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...core.errors import InputError
-from ..methods import find_method
-from ..networks.parts import OPTIONAL_PARTS
+from ..methods import OPTIONAL_PARTS, find_method
 
 if TYPE_CHECKING:
     import torch

@@ -1,16 +1,14 @@
-"""The cascade cost volume of Early-Fusion: from two or more views to the reference's depth map.
+"""The cascade cost volume of Early-Fusion: the reference view's depth map from two or more views.
 
 Gu et al., "Cascade cost volume for high-resolution multi-view stereo and stereo matching", CVPR
-2020 (Cas-MVSNet). Three stages sweep planes through the scene. Each compares the reference's
-features with those of the other views by group-wise correlation, cleans the comparison with a
-small 3D U-Net, and takes the expectation of the distribution over the supposed depths (soft
-argmin). A stage supposes depths around those of the stage before it, in a narrower range, with
-finer steps and on a finer grid; the last steps are 3.5 mm, as in the paper.
+2020 (Cas-MVSNet). Three stages sweep planes through the scene. Each builds a cost volume by
+group-wise correlation of the views, filters it with a small 3D U-Net, and takes the expectation
+over the depth hypotheses (soft argmin). The hypotheses of a stage are around the depths of the one
+before it, in a narrower range and on a finer grid; the last spacing is 3.5 mm, as in the paper.
 
 The features are a pyramid (Lin et al., CVPR 2017) on the frozen encoder that all methods share.
-Unlike Cas-MVSNet's, the U-Net also sees the reference's own features and how far each hypothesis is
-from the middle of its range: where a surface has no texture or the cameras stand close together,
-what the image shows is all there is.
+Unlike Cas-MVSNet's, the U-Net also sees the reference's own features and each hypothesis' position
+in its range, for surfaces without texture and for short baselines.
 """
 
 from __future__ import annotations
@@ -29,11 +27,11 @@ from .encoder import PYRAMID_CHANNELS
 from .plane_sweep import group_correlation, sweep
 
 _MIN_DEPTH = 0.1
-"""Smallest depth in meters that is supposed."""
+"""Smallest depth hypothesis in meters."""
 
 _MIN_HALF_RANGE = 0.15
 _HALF_RANGE = 1.0
-"""The first range is the larger of so many meters, and so many diameters, to both sides."""
+"""Half the first range: the larger of so many meters and so many diameters."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +40,8 @@ class CascadeLevel:
 
     Attributes:
         stride: pixels of the crop per pixel of the stage's map: 2, 4 or 8.
-        planes: how many depths are supposed, a multiple of 4.
-        spacing: meters between them; None where the object's diameter decides.
+        planes: number of depth hypotheses, a multiple of 4.
+        spacing: meters between them; None: given by the object's diameter.
     """
 
     stride: int
@@ -56,9 +54,9 @@ class CascadeConfig:
     """Shape of the cascade.
 
     Attributes:
-        levels: the stages; each has a grid as fine as that of the one before it, or finer.
-        channels: of the features that are compared, at strides 8, 4 and 2.
-        groups: channels of the comparison, a divisor of each of ``channels``.
+        levels: the stages, from coarse to fine.
+        channels: of the features, at strides 8, 4 and 2.
+        groups: of the correlation, a divisor of each of ``channels``.
         hidden: channels of the 3D networks.
     """
 
@@ -73,7 +71,7 @@ class CascadeConfig:
 
 
 class CascadeViews(NamedTuple):
-    """What B samples of V >= 2 views bring, the reference view first.
+    """Inputs from V >= 2 views of B samples, the reference view first.
 
     Attributes:
         maps: the encoder's pyramid of the crops, (B, V, C, G, G) at strides 2, 4, 8 and 16.
@@ -87,12 +85,12 @@ class CascadeViews(NamedTuple):
 
 
 class DepthOutput(NamedTuple):
-    """What one stage says of the reference view, on its grid.
+    """Output of one stage for the reference view, on its grid.
 
     Attributes:
         depth: (B, H, W) expectations, m.
         variance: (B, H, W) of the distributions, m^2.
-        center: (B, H, W) middles of the ranges that were searched, m.
+        center: (B, H, W) middles of the searched ranges, m.
         half_range: (B,) from the middle to the ends, m.
         stride: pixels of the crop per pixel of the grid.
     """
@@ -105,11 +103,7 @@ class DepthOutput(NamedTuple):
 
 
 class FeaturePyramid(nn.Module):
-    """Top-down features from the encoder's maps.
-
-    Args:
-        channels: at strides 8, 4 and 2.
-    """
+    """Top-down features from the encoder's maps; ``channels`` are those at strides 8, 4 and 2."""
 
     def __init__(self, channels: Sequence[int]):
         super().__init__()
@@ -130,10 +124,10 @@ class FeaturePyramid(nn.Module):
 
 
 class CostNet(nn.Module):
-    """A 3D U-Net from a comparison of views to one logit for each supposed depth.
+    """A 3D U-Net from a cost volume to one logit for each depth hypothesis.
 
     Args:
-        inputs: channels of the comparison.
+        inputs: channels of the cost volume.
         context: channels of the reference's features.
         hidden: channels at full resolution.
     """
@@ -141,7 +135,7 @@ class CostNet(nn.Module):
     def __init__(self, inputs: int, context: int, hidden: int):
         super().__init__()
         self.inputs = nn.Conv3d(inputs, hidden, 3, padding=1, bias=False)
-        # The same at all depths, so it need not be a 3D convolution.
+        # The same at all depths, hence a 2D convolution.
         self.context = nn.Conv2d(context, hidden, 3, padding=1, bias=False)
         self.norm = nn.BatchNorm3d(hidden)
         self.fine = _block(hidden, hidden)
@@ -169,18 +163,14 @@ class CostNet(nn.Module):
 
 
 class CascadeNet(nn.Module):
-    """The whole cascade.
-
-    Args:
-        config: its shape.
-    """
+    """All stages of the cascade."""
 
     def __init__(self, config: CascadeConfig = CascadeConfig()):
         super().__init__()
         self.config = config
         self.pyramid = FeaturePyramid(config.channels)
         channels = dict(zip((8, 4, 2), config.channels, strict=True))
-        # Beside the comparison: the share of views that show the point, and the hypothesis.
+        # Two more channels: the share of views that show the point, and the hypothesis.
         self.costs = nn.ModuleList(
             CostNet(config.groups + 2, channels[level.stride], config.hidden)
             for level in config.levels
@@ -200,7 +190,7 @@ class CascadeNet(nn.Module):
             diameter: (B,) of the object, m.
 
         Returns:
-            What each stage says, the finest last.
+            The stages' outputs, the finest last.
         """
         batch, count = views.K.shape[:2]
         features = {
@@ -210,42 +200,42 @@ class CascadeNet(nn.Module):
         outputs: list[DepthOutput] = []
         for level, cost_net in zip(self.config.levels, self.costs, strict=True):
             maps = features[level.stride]
-            # Only the convolutions bear bfloat16.
+            # Only the convolutions run in bfloat16.
             with torch.autocast(guess.device.type, enabled=False):
-                side = maps.shape[-1]
+                size = maps.shape[-2:]
+                center = guess[:, None, None].expand(-1, *size)
                 if outputs:
-                    center = _resize(outputs[-1].depth.detach(), side)
-                else:
-                    center = guess[:, None, None].expand(-1, side, side)
+                    center = outputs[-1].depth.detach()[:, None]
+                    center = F.interpolate(center, size, mode="bilinear")[:, 0]
                 half = half_range(level, diameter)
                 steps = torch.linspace(-1, 1, level.planes, device=guess.device)
                 offsets = half[:, None] * steps
-                supposed = (center[:, None] + offsets[..., None, None]).clamp(min=_MIN_DEPTH)
+                depths = (center[:, None] + offsets[..., None, None]).clamp(min=_MIN_DEPTH)
                 grid = torch.from_numpy(grid_matrix(level.stride)).to(views.K)
                 cost = build_cost_volume(
-                    maps, grid @ views.K, views.T_view_ref, supposed, self.config.groups
+                    maps, grid @ views.K, views.T_view_ref, depths, self.config.groups
                 )
-                hypothesis = steps[:, None, None].expand_as(supposed[:, None])
+                hypothesis = steps[:, None, None].expand_as(depths[:, None])
                 cost = torch.cat([cost, hypothesis], 1)
             logits = cost_net(cost, maps[:, 0])
             with torch.autocast(guess.device.type, enabled=False):
                 probability = torch.softmax(logits.float(), 1)
-                depth = (probability * supposed).sum(1)
-                variance = (probability * (supposed - depth[:, None]).square()).sum(1)
+                depth = (probability * depths).sum(1)
+                variance = (probability * (depths - depth[:, None]).square()).sum(1)
             outputs.append(DepthOutput(depth, variance, center, half, level.stride))
         return outputs
 
 
 def build_cost_volume(
-    features: Tensor, K: Tensor, T_view_ref: Tensor, supposed: Tensor, groups: int
+    features: Tensor, K: Tensor, T_view_ref: Tensor, depths: Tensor, groups: int
 ) -> Tensor:
-    """The cost volume: how alike the views are at supposed depths.
+    """Builds the cost volume: the correlation of the views at depth hypotheses.
 
     Args:
         features: (B, V, C, H, W), the reference view first.
         K: (B, V, 3, 3) of the maps' pixels.
         T_view_ref: (B, V, 4, 4), m.
-        supposed: (B, D, H, W), m.
+        depths: (B, D, H, W), m.
         groups: of channels.
 
     Returns:
@@ -255,9 +245,7 @@ def build_cost_volume(
     total = features.new_zeros((), dtype=torch.float32)
     seen = torch.zeros_like(total)
     for view in range(1, features.shape[1]):
-        warped, inside = sweep(
-            features[:, view], K[:, 0], K[:, view], T_view_ref[:, view], supposed
-        )
+        warped, inside = sweep(features[:, view], K[:, 0], K[:, view], T_view_ref[:, view], depths)
         shown = inside.unsqueeze(1).to(warped.dtype)
         total = total + group_correlation(features[:, 0], warped, groups) * shown
         seen = seen + shown
@@ -269,13 +257,6 @@ def half_range(level: CascadeLevel, diameter: Tensor) -> Tensor:
     if level.spacing is None:
         return (diameter * _HALF_RANGE).clamp(min=_MIN_HALF_RANGE)
     return torch.full_like(diameter, level.spacing * (level.planes - 1) / 2)
-
-
-def _resize(depth: Tensor, side: int) -> Tensor:
-    if depth.shape[-1] == side:
-        return depth
-    size = (side, side)
-    return F.interpolate(depth[:, None], size, mode="bilinear", align_corners=False)[:, 0]
 
 
 def _block(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:

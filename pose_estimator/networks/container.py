@@ -1,4 +1,4 @@
-"""The networks of one set of weights, and the objects they know."""
+"""The networks of one set of weights, and their objects."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class NetworkConfig:
     """Shapes of all networks.
 
     Attributes:
-        detector: finds the object in a full frame.
-        features: 2D features of a crop.
-        preset: the volume's, ``fast`` or ``paper``.
+        detector: of the detector.
+        features: of the 2D features.
+        preset: of the volume, ``fast`` or ``paper``.
     """
 
     detector: DetectorConfig = DetectorConfig()
@@ -37,10 +37,10 @@ class PoseNetworks(nn.Module):
 
     Args:
         objects: the models, in the order of the networks' outputs.
-        config: shapes.
+        config: their shapes.
 
     Attributes:
-        trained: names of the parts that have been trained; the others hold random numbers.
+        trained: names of the trained networks; the others are random.
 
     Raises:
         InputError: if the preset is unknown.
@@ -65,10 +65,10 @@ class PoseNetworks(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where the networks are."""
+        """The networks' device."""
         return self.features.head_bias.device
 
     @property
     def config(self) -> NetworkConfig:
-        """Shapes of all networks as they are now."""
+        """Current shapes of all networks."""
         return replace(self._config, features=self.features.config)

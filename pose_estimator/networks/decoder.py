@@ -1,10 +1,10 @@
-"""From the encoder's maps back to a fine one, for all objects or for one alone.
+"""A U-Net decoder, shared by all objects or one for each.
 
-One decoder for all objects is told by their embeddings which one is asked for (FiLM, Perez et al.,
-AAAI 2018). It is trained first; but thirteen objects are more than it can hold: it errs as much on
-the crops that it has seen as on others, and 400 batches of one object alone, on the same encoder,
-took a quarter off that object's error. So in the end each object has a decoder of its own, which
-starts as a copy of the shared one; PVNet has a whole network for each object.
+The shared decoder is conditioned on the object's embedding (FiLM, Perez et al., AAAI 2018) and
+trained first; but thirteen objects exceed its capacity: its error on training crops is as large as
+on others, and 400 batches of one object alone, on the same encoder, reduced that object's error by
+a quarter. So in the end each object has its own decoder, initialized from the shared one; PVNet has
+a whole network for each object.
 """
 
 from __future__ import annotations
@@ -17,22 +17,21 @@ from torch.nn import functional as F
 
 
 class ConvBlock(nn.Sequential):
-    """3x3 convolution, batch norm, ReLU."""
+    """Convolution (3x3 by default), batch norm, ReLU."""
 
-    def __init__(self, inputs: int, outputs: int):
+    def __init__(self, inputs: int, outputs: int, kernel: int = 3):
         super().__init__(
-            nn.Conv2d(inputs, outputs, 3, padding=1, bias=False),
+            nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2, bias=False),
             nn.BatchNorm2d(outputs),
             nn.ReLU(inplace=True),
         )
 
 
 class CoordinateConv(nn.Module):
-    """A 1x1 convolution of the pixels' coordinates, to be added to a feature map.
+    """Adds a 1x1 convolution of the pixels' coordinates to a feature map.
 
     Liu et al., "An intriguing failing of convolutional neural networks and the CoordConv solution",
-    NeurIPS 2018: a vector towards a keypoint depends on where the pixel is, which convolutions do
-    not see.
+    NeurIPS 2018: a vector to a keypoint depends on the pixel's position.
     """
 
     def __init__(self, outputs: int):
@@ -49,7 +48,7 @@ class CoordinateConv(nn.Module):
 
 
 class Refinement(nn.Module):
-    """A residual block that starts as the identity."""
+    """A residual block, initialized to the identity."""
 
     def __init__(self, channels: int):
         super().__init__()
@@ -63,7 +62,7 @@ class Refinement(nn.Module):
 
 
 class Decoder(nn.Module):
-    """A U-Net's way up, from stride 32 to stride 4.
+    """The upsampling half of a U-Net, from stride 32 to stride 4.
 
     Args:
         encoder: channels of the encoder's maps at strides 4 to 32.
@@ -95,24 +94,24 @@ class Decoder(nn.Module):
 
         Args:
             pyramid: the encoder's maps at strides 4, 8, 16 and 32.
-            film16: (B, 2 * 128) scales (less one) and shifts at stride 16.
-            film4: (B, 2 * width) the same at stride 4.
+            film16: (B, 2 * 128) scales (minus one) and shifts at stride 16.
+            film4: (B, 2 * width) at stride 4.
 
         Returns:
             The last map (B, width, G, G) and the map to lift (B, volume_channels, G, G).
         """
         f4, f8, f16, f32 = pyramid
-        x = self.up16(torch.cat([_twice(self.bottleneck(f32)), f16], 1))
+        x = self.up16(torch.cat([_upsample(self.bottleneck(f32)), f16], 1))
         x = _modulate(x, film16)
-        x = self.up8(torch.cat([_twice(x), f8], 1))
+        x = self.up8(torch.cat([_upsample(x), f8], 1))
         x = self.refine8(self.coordinates8(x))
-        x = self.up4(torch.cat([_twice(x), f4], 1))
+        x = self.up4(torch.cat([_upsample(x), f4], 1))
         x = self.trunk(self.coordinates4(_modulate(x, film4)))
         x = self.refine4(x)
         return x, self.volume_head(x)
 
 
-def _twice(x: Tensor) -> Tensor:
+def _upsample(x: Tensor) -> Tensor:
     return F.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
 
 

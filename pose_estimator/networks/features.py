@@ -1,10 +1,9 @@
-"""2D features of a crop: the part that all fusion strategies share.
+"""2D features of a crop, shared by all fusion strategies.
 
-A multi-scale CNN gives, for the object that is asked for, its segmentation and, at each pixel, unit
-vectors towards its nine keypoints (Peng et al., "PVNet", CVPR 2019), and the feature map that
-Mid-Fusion lifts into its volume. One encoder serves all objects; the decoder is shared or each
-object's own, and the last layer has weights of each object's own. Only those of the asked object
-are computed.
+For the requested object a multi-scale CNN gives its mask, unit vectors from each pixel to its nine
+keypoints (Peng et al., "PVNet", CVPR 2019), and the feature map that Mid-Fusion lifts into its
+volume. The encoder is shared; the decoder is shared or one for each object; the last layer has
+weights for each object, of which only the requested ones are computed.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ class FeatureConfig:
         roi_scale: side of the region of interest in object diameters.
         width: channels of the decoder at the output resolution.
         volume_channels: channels of the map that Mid-Fusion lifts.
-        own_decoders: whether each object has a decoder of its own.
+        own_decoders: whether each object has its own decoder.
     """
 
     crop: int = 128
@@ -54,10 +53,10 @@ class Features2D(NamedTuple):
 
     Attributes:
         mask_logits: (B, G, G), the visible part of the object.
-        directions: (B, 9, 2, G, G), raw vectors (x, y) towards each keypoint. They are trained to
-            unit length, and shrink where the network is unsure.
+        directions: (B, 9, 2, G, G), vectors (x, y) to each keypoint. They are trained to unit
+            length, and are shorter where the confidence is low.
         volume: (B, C, G, G), features for the volume.
-        decoder: (B, W, G, G), the decoder's last map, of which the others are projections.
+        decoder: (B, W, G, G), the decoder's last map, from which the others are projected.
     """
 
     mask_logits: Tensor
@@ -67,12 +66,7 @@ class Features2D(NamedTuple):
 
 
 class KeypointNet(nn.Module):
-    """The shared 2D network.
-
-    Args:
-        objects: how many objects it knows.
-        config: its shape.
-    """
+    """The 2D network of ``objects`` objects."""
 
     def __init__(self, objects: int, config: FeatureConfig = FeatureConfig()):
         super().__init__()
@@ -96,18 +90,18 @@ class KeypointNet(nn.Module):
 
     @property
     def volume_heads(self) -> nn.ModuleList:
-        """The layers that make the map to lift, one for each decoder."""
+        """The decoders' layers that compute the map to lift."""
         return nn.ModuleList(decoder.volume_head for decoder in self.decoders)  # type: ignore[misc]
 
     def split_decoders(self) -> None:
-        """Gives each object a copy of the shared decoder; where each has its own, nothing."""
+        """Gives each object a copy of the shared decoder, unless each has its own."""
         if not self.config.own_decoders:
             shared = self.decoders[0]
             self.decoders = nn.ModuleList(copy.deepcopy(shared) for _ in range(self.objects))
             self.config = replace(self.config, own_decoders=True)
 
     def share_decoders(self) -> None:
-        """Makes one decoder of all, the mean of them, which they once were copies of."""
+        """Replaces the objects' decoders by their mean."""
         if self.config.own_decoders:
             shared = copy.deepcopy(self.decoders[0])
             states = [decoder.state_dict() for decoder in self.decoders]
@@ -118,19 +112,16 @@ class KeypointNet(nn.Module):
             self.config = replace(self.config, own_decoders=False)
 
     def forward(self, crops: Tensor, objects: Tensor) -> Features2D:
-        """Features of crops.
+        """Computes maps of side S / 4.
 
         Args:
             crops: (B, 3, S, S), RGB in 0..255 as floats.
-            objects: (B,) int64, the index of the object asked for in each crop.
-
-        Returns:
-            Maps of side S / 4.
+            objects: (B,) int64, the index of the requested object of each crop.
         """
         return self.decode(self.encoder.pyramid(crops), objects)
 
     def decode(self, pyramid: Sequence[Tensor], objects: Tensor) -> Features2D:
-        """Features from the encoder's maps at strides 2 to 32; see :meth:`forward`."""
+        """As :meth:`forward`, from the encoder's maps at strides 2 to 32."""
         embedding = self.embedding(objects)
         x, volume = self._decode_each(
             pyramid[1:], self.film16(embedding), self.film4(embedding), objects
@@ -151,14 +142,14 @@ class KeypointNet(nn.Module):
     def _decode_each(
         self, pyramid: Sequence[Tensor], film16: Tensor, film4: Tensor, objects: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Each crop through the decoder of its object; see :meth:`Decoder.forward`."""
+        """Decodes each crop by its object's decoder; see :meth:`Decoder.forward`."""
         if not self.config.own_decoders:
             return self.decoders[0](pyramid, film16, film4)
-        asked = objects.unique().tolist()
-        if len(asked) == 1:
-            return self.decoders[asked[0]](pyramid, film16, film4)
+        requested = objects.unique().tolist()
+        if len(requested) == 1:
+            return self.decoders[requested[0]](pyramid, film16, film4)
         parts, rows = [], []
-        for number in asked:
+        for number in requested:
             row = (objects == number).nonzero()[:, 0]
             maps = [level[row] for level in pyramid]
             parts.append(self.decoders[number](maps, film16[row], film4[row]))

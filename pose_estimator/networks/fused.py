@@ -1,9 +1,9 @@
-"""Networks as a CPU runs them quickest: every convolution in one call with what follows it.
+"""Fuses convolutions with batch norm and activation for inference on CPUs.
 
-Batch norm in evaluation mode is a scale and a shift, which are folded into the weights. oneDNN then
-adds the bias and applies the activation while the result is still in the cache; written as layers
-of their own, clipping and padding cost more than the convolutions of a MobileNet. Weights are
-rounded to bfloat16 once, where the CPU has it, and laid out once as oneDNN wants them.
+Batch norm in evaluation mode is folded into the weights. oneDNN adds the bias and applies the
+activation while the result is still in the cache; as separate layers, clipping and padding cost
+more than the convolutions of a MobileNet. Weights are rounded to bfloat16 once, where the CPU
+supports it, and reordered once to oneDNN's layout.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from torch.nn import functional as F
 from .encoder import SameConv
 
 _MAX_PREPACKED_BATCH = 4
-"""Largest batch of images for which weights are kept in oneDNN's layout: larger ones take so long
-that it matters less, and come in many sizes. Volumes have few weights."""
+"""Largest batch of images for which reordered weights are cached: larger ones gain less, and have
+many sizes. Volumes have few weights."""
 
 _Conv = nn.Conv2d | nn.Conv3d
 _Norm = nn.BatchNorm2d | nn.BatchNorm3d
@@ -28,7 +28,7 @@ M = TypeVar("M", bound=nn.Module)
 
 
 def can_fuse() -> bool:
-    """Whether this build of torch has the two operators used here, which are not a public API."""
+    """Whether this build of torch has the two private operators used here."""
     return torch.backends.mkldnn.is_available() and all(
         hasattr(torch.ops.mkldnn, operator)
         for operator in ("_convolution_pointwise", "_reorder_convolution_weight")
@@ -37,15 +37,14 @@ def can_fuse() -> bool:
 
 @cache
 def can_fuse_in(dtype: torch.dtype) -> bool:
-    """Whether such convolutions run here in a number format: oneDNN refuses some processors'.
+    """Whether fused convolutions run in a dtype on this processor; tries one.
 
-    That of bfloat16 depends on more than the processor (``ONEDNN_MAX_CPU_ISA``, the versions of
-    torch and oneDNN), so one is tried.
+    For bfloat16 it depends on ``ONEDNN_MAX_CPU_ISA`` and the versions of torch and oneDNN as well.
     """
     if not can_fuse():
         return False
     try:
-        # Its numbers do not matter, and drawing some would change what others draw.
+        # Without initialization, which would change the state of the random generator.
         conv = nn.utils.skip_init(nn.Conv2d, 8, 8, 3)
         with torch.inference_mode():
             FusedConv(conv, dtype)(torch.zeros(1, 8, 8, 8))
@@ -55,14 +54,10 @@ def can_fuse_in(dtype: torch.dtype) -> bool:
 
 
 def fused(module: M, dtype: torch.dtype) -> M:
-    """A copy of a network in evaluation mode that answers the same with fewer, larger operations.
+    """A copy of a network in evaluation mode with fused convolutions; without oneDNN, the network.
 
-    Parameters other than the convolutions' are shared with ``module``; later changes of the
-    convolutions' do not reach the copy, which cannot be trained. Without oneDNN it is ``module``.
-
-    Args:
-        module: the network.
-        dtype: of the convolutions, bfloat16 or float32; one for which :func:`can_fuse_in` holds.
+    The copy has its own convolution weights and shares the other parameters. It cannot be trained.
+    ``dtype`` is the convolutions', bfloat16 or float32; :func:`can_fuse_in` must hold.
     """
     if not can_fuse():
         return module
@@ -70,13 +65,13 @@ def fused(module: M, dtype: torch.dtype) -> M:
 
 
 class FusedConv(nn.Module):
-    """A convolution with bias and perhaps an activation.
+    """A convolution with bias and an optional activation.
 
     Args:
         conv: the convolution.
         dtype: to compute in.
-        norm: batch norm behind it, in evaluation mode.
-        relu: whether a rectifier comes last.
+        norm: batch norm after it, in evaluation mode.
+        relu: whether a ReLU comes last.
     """
 
     weight: Tensor
@@ -91,7 +86,7 @@ class FusedConv(nn.Module):
             weight, bias = _fold(weight, bias, norm)
         self.padding = [int(p) for p in conv.padding]  # type: ignore[arg-type]
         if isinstance(conv, SameConv) and conv.stride[0] > 1:
-            # A row and a column of zeros do the work of padding one side more than the other.
+            # A zero row and column of the kernel replace asymmetric padding.
             weight = F.pad(weight, (1, 0, 1, 0))
             self.padding = [weight.shape[-1] // 2 - 1] * 2
         self.stride, self.dilation = list(conv.stride), list(conv.dilation)
@@ -116,10 +111,9 @@ class FusedConv(nn.Module):
         )  # fmt: skip
 
     def _weight_for(self, shape: torch.Size) -> Tensor:
-        """The weight as oneDNN wants it for maps of a shape, which it would else do at every call.
+        """The weight in oneDNN's layout, which depends on the input's shape and the threads.
 
-        What it wants depends on the shape and on the number of threads, and it is many times
-        slower with what it wants for others.
+        With another layout it is many times slower, and otherwise reorders at every call.
         """
         if len(shape) == 4 and shape[0] > _MAX_PREPACKED_BATCH:
             return self.weight
@@ -156,24 +150,24 @@ def _fused(module: nn.Module, dtype: torch.dtype) -> nn.Module:
 
 
 def _fuse_conv_bn_relu(layers: list[nn.Module], dtype: torch.dtype) -> list[nn.Module]:
-    """Layers that follow each other, convolutions with their batch norm and rectifier as one."""
-    row: list[nn.Module] = []
+    """Fuses each convolution with the batch norm and ReLU after it."""
+    merged: list[nn.Module] = []
     while layers:
         first, *layers = layers
         if isinstance(first, _Conv):
             norm = layers.pop(0) if layers and isinstance(layers[0], _Norm) else None
             relu = bool(layers) and isinstance(layers[0], nn.ReLU)
-            row.append(FusedConv(first, dtype, norm, relu))  # type: ignore[arg-type]
+            merged.append(FusedConv(first, dtype, norm, relu))  # type: ignore[arg-type]
             layers = layers[relu:]
         else:
-            row.append(_fused(first, dtype))
-    return row
+            merged.append(_fused(first, dtype))
+    return merged
 
 
 def _fold(weight: Tensor, bias: Tensor | None, norm: _Norm) -> tuple[Tensor, Tensor]:
-    """Weight and bias of a convolution with the batch norm behind it."""
+    """Weight and bias of a convolution with the batch norm after it folded in."""
     assert norm.running_mean is not None and norm.running_var is not None
     scale = norm.weight.detach() / torch.sqrt(norm.running_var + norm.eps)
-    before = norm.running_mean if bias is None else norm.running_mean - bias
+    mean = norm.running_mean if bias is None else norm.running_mean - bias
     shaped = scale.reshape(-1, *[1] * (weight.ndim - 1))
-    return weight * shaped, norm.bias.detach() - before * scale
+    return weight * shaped, norm.bias.detach() - mean * scale

@@ -1,11 +1,10 @@
-"""The networks as estimators run them: lists in, lists out.
+"""Runs the networks on lists of inputs.
 
-On a processor every item of a list (a frame, a few crops of a view, a volume) is a batch of its
-own, which one thread takes through the whole network on one core (``thread_pools.py``); one that is
-alone may have more, where the result is the same. Other batches and other numbers of threads would
-round in another order: this way an answer is the same to the bit whatever else is in the list and
-whatever else the machine does. On a GPU a list is one batch, and answers depend on it as far as
-rounding goes.
+On a CPU every item of a list (a frame, a few crops of a view, a volume) is a batch of its own that
+one thread runs on one core (``core/thread_pools.py``); a single item may use more cores if the
+result is identical. Other batch sizes and thread counts round differently: this way a result does
+not depend on the other items or on the load. On a GPU a list is one batch, and results depend on it
+up to rounding.
 """
 
 from __future__ import annotations
@@ -29,27 +28,26 @@ from .volume import ViewMaps
 from .voting import vote
 
 _CROPS = 3
-"""Crops of a view that a core takes at once: with fewer it is slower for each, with more hardly
-quicker, and other cores have nothing to do."""
+"""Crops of a view per batch on a core: fewer are slower per crop, more leave cores idle."""
 
 _GPU_ITEMS = 64
-"""Items of a batch on a GPU: enough to fill it, and a bound on its memory."""
+"""Items of a batch on a GPU: fills it, and bounds its memory."""
 
 _Item = TypeVar("_Item")
-_Answer = TypeVar("_Answer")
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, eq=False)
 class EncodedCrop:
-    """What a crop shows of an object.
+    """Features and votes of a crop for an object.
 
     Attributes:
         volume: features for the volume, (C, G, G).
         decoder: the 2D network's last map, (W, G, G).
         maps: the encoder's maps at strides 2 to 32, (C, S, S) each.
         vote_mean: voted keypoints, (9, 2), pixels of the feature grid.
-        vote_covariance: theirs, (9, 2, 2).
-        vote_score: share of the object's pixels that agree, 0 to 1, (9,).
+        vote_covariance: (9, 2, 2).
+        vote_score: share of the object's pixels that are inliers, 0 to 1, (9,).
         mask: probability of the visible object, (G, G).
     """
 
@@ -66,9 +64,8 @@ class Inference:
     """Runs one set of networks.
 
     Args:
-        networks: in evaluation mode, on the device that is to be used. Their weights are read when
-            they are first run.
-        threads: of the processor; 0: as many as there are cores. On a GPU they are not used.
+        networks: in evaluation mode, on their device. Weights are read at the first run.
+        threads: of the CPU; 0: one for each core. Not used on a GPU.
     """
 
     def __init__(self, networks: PoseNetworks, threads: int = 0) -> None:
@@ -80,13 +77,10 @@ class Inference:
         self._same_on: dict[tuple[Hashable, int], bool] = {}
 
     def detect(self, frames: Sequence[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Where might objects be?
-
-        Args:
-            frames: the detector's inputs, (240, 320, 3) uint8 each.
+        """Runs the detector on its inputs, (240, 320, 3) uint8 each.
 
         Returns:
-            For each the heat map and regression of all objects, (N, 30, 40) and (N, 3, 30, 40)
+            For each frame the heat map (N, 30, 40) and regression (N, 3, 30, 40) of all objects,
             float32; see ``Detector.forward``.
         """
         network = self.network("detector")
@@ -100,14 +94,9 @@ class Inference:
         return self.in_batches(detect, frames, kind="frame")
 
     def encode(self, crops: Sequence[tuple[np.ndarray, int]]) -> list[list[EncodedCrop]]:
-        """What do crops show of objects?
+        """Computes features and votes of views' crops (n, S, S, 3) uint8 for an object's index.
 
-        Args:
-            crops: of each view (n, S, S, 3) uint8, and which object is asked for, in the networks'
-                order.
-
-        Returns:
-            For each view what each crop shows; maps stay on the device.
+        Maps stay on the device.
         """
         network = self.network("features")
         parts = [
@@ -136,11 +125,11 @@ class Inference:
     def fuse(
         self, volumes: Sequence[tuple[ViewMaps, np.ndarray, float]]
     ) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Where are keypoints in volumes?
+        """Computes keypoints of volumes.
 
         Args:
-            volumes: what the views bring (a batch of one), the guess of the object's center in the
-                reference camera, (3,) m, and its diameter, m.
+            volumes: for each the views' maps (a batch of one), the initial object center in the
+                reference camera, (3,) m, and the diameter, m.
 
         Returns:
             For each the fine level's keypoints (9, 3) in the reference camera, m, and their
@@ -160,40 +149,42 @@ class Inference:
             return list(zip(as_array(fine.keypoints), as_array(fine.covariance), strict=True))
 
         config = self.networks.volume.config
-        # Volumes whose voxels have a size of their own are as large as their object.
-        alike = None not in (config.coarse.cells, config.fine.cells)
+        # Where the voxel size is fixed, the number of voxels depends on the diameter.
+        same_shape = None not in (config.coarse.cells, config.fine.cells)
         return self.in_batches(
-            fuse, volumes, lambda volume: (volume[0].features.shape[1], 0 if alike else volume[2])
+            fuse,
+            volumes,
+            lambda volume: (volume[0].features.shape[1], 0 if same_shape else volume[2]),
         )
 
     def in_batches(
         self,
-        work: Callable[[Sequence[_Item]], list[_Answer]],
+        work: Callable[[Sequence[_Item]], list[_Result]],
         items: Sequence[_Item],
         key: Callable[[_Item], Any] = lambda item: 0,
         kind: Hashable = None,
-    ) -> list[_Answer]:
-        """Runs networks on a list, under autocast: item by item on a processor, else in batches.
+    ) -> list[_Result]:
+        """Runs networks on a list under autocast: item by item on a CPU, in batches on a GPU.
 
         Args:
-            work: answers a batch.
+            work: processes a batch.
             items: the list.
-            key: items of one batch have the same.
-            kind: what an item is that several cores may share if it is alone: what it runs, on
-                which shape; None: none may.
+            key: equal for items of one batch.
+            kind: network and input shape of a single item that several cores may share; None: it
+                may not be shared.
 
         Returns:
-            The answers in the list's order.
+            The results in the list's order.
         """
 
         @torch.inference_mode()
-        def run(batch: Sequence[_Item]) -> list[_Answer]:
+        def run(batch: Sequence[_Item]) -> list[_Result]:
             with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16):
                 return work(batch)
 
         if self.device.type == "cpu":
 
-            def run_one(item: _Item) -> _Answer:
+            def run_one(item: _Item) -> _Result:
                 return run([item])[0]
 
             if len(items) == 1 and kind is not None:
@@ -202,19 +193,19 @@ class Inference:
         groups: dict[Any, list[int]] = {}
         for number, item in enumerate(items):
             groups.setdefault(key(item), []).append(number)
-        answers: dict[int, _Answer] = {}
+        results: dict[int, _Result] = {}
         for numbers in groups.values():
             for start in range(0, len(numbers), _GPU_ITEMS):
                 some = numbers[start : start + _GPU_ITEMS]
-                answers |= zip(some, run([items[n] for n in some]), strict=True)
-        return [answers[n] for n in range(len(items))]
+                results |= zip(some, run([items[n] for n in some]), strict=True)
+        return [results[n] for n in range(len(items))]
 
     def _on_idle_cores(
-        self, run: Callable[[_Item], _Answer], item: _Item, kind: Hashable
-    ) -> _Answer:
-        """One item on all cores that torch has in this thread, if that rounds as on one core does.
+        self, run: Callable[[_Item], _Result], item: _Item, kind: Hashable
+    ) -> _Result:
+        """Runs one item on all of this thread's cores if the result is identical to one core's.
 
-        Whether it does, the first item of a kind shows, which is computed both ways.
+        The first item of a kind is run both ways to find out.
         """
         cores = torch.get_num_threads()
         pool = shared_pool(self.threads)
@@ -231,7 +222,7 @@ class Inference:
         return torch.from_numpy(array).to(self.device, torch.float32)
 
     def network(self, part: str) -> Any:
-        """A part of the networks as it runs quickest; made when it is first needed."""
+        """The fastest form of a network; built at first use."""
         module = getattr(self.networks, part)
         if self.device.type != "cpu":
             return module
@@ -248,7 +239,7 @@ class Inference:
 
 
 def _identical(one: Any, other: Any) -> bool:
-    """Whether two answers are the same to the bit."""
+    """Whether two results are equal bit for bit."""
     pairs = zip(tree_leaves(one), tree_leaves(other), strict=True)
     # NumPy has no bfloat16.
     return all(torch.equal(torch.as_tensor(a), torch.as_tensor(b)) for a, b in pairs)

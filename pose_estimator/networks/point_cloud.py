@@ -1,4 +1,4 @@
-"""The points of an object that a depth sensor sees in a crop, in a frame that fits the crop."""
+"""Samples an object's points from the depth map of its crop, in the crop's frame."""
 
 from __future__ import annotations
 
@@ -12,27 +12,26 @@ from torch.nn import functional as F
 from ...core.geometry import grid_matrix
 
 MIN_POINTS = 16
-"""With fewer points, a cloud says next to nothing."""
+"""Smallest number of points of a useful cloud."""
 
 _MIN_MASK = 0.5
-"""Least mask probability of a pixel whose depth is taken."""
+"""Smallest mask probability of a sampled pixel."""
 
 _MAX_DISTANCE = 0.9
-"""Diameters from the middle of the cloud beyond which a point is on something else."""
+"""Largest distance of a point from the cloud's median, in diameters."""
 
 
 class PointCloud(NamedTuple):
     """N points for each of B crops, in the crop's frame.
 
-    The crop's frame looks along the ray through the middle of the crop, with its x axis along the
-    crop's rows: what a crop shows says how the object stands to that ray, wherever in the image
-    the crop was cut and however it was turned.
+    The crop's frame has z along the ray through the crop's center and x along the crop's rows, so
+    that it is invariant to the crop's position and rotation in the image.
 
     Attributes:
         xyz: (B, N, 3) meters.
-        pixels: (B, N, 2) where the points are in the feature grid.
-        valid: (B, N) false for what only fills the row.
-        center: (B, 3) the median of the valid points, meters.
+        pixels: (B, N, 2) in the feature grid.
+        valid: (B, N) false for padding.
+        center: (B, 3) median of the valid points, meters.
         R_crop_cam: (B, 3, 3).
     """
 
@@ -51,30 +50,26 @@ def sample_points(
     count: int,
     generator: torch.Generator | Sequence[torch.Generator],
 ) -> PointCloud:
-    """Draws points of an object from its crop's depth.
+    """Samples points of an object from its crop's depth.
 
     Args:
         depth: (B, S, S) meters along the camera's z, 0 where unknown.
         mask: (B, G, G) probability that a cell of the feature grid shows the object.
-        K: (B, 3, 3) camera of the crop; any affine of a camera's.
+        K: (B, 3, 3) camera of the crop.
         diameter: (B,) of the object, meters.
-        count: how many points; where there are fewer pixels, the rest is not valid.
-        generator: of the draws, one or one for each crop, on the CPU: so every device draws alike.
+        count: number of points; with fewer pixels the rest is not valid.
+        generator: on the CPU, one or one for each crop, so that all devices sample alike.
 
     Returns:
-        The points. A crop without any has none that are valid, and finite numbers.
+        The points, always finite.
     """
     batch, side = depth.shape[:2]
-    inside = F.interpolate(mask[:, None], size=(side, side), mode="bilinear", align_corners=False)[
-        :, 0
-    ]
-    usable = (depth > 0) & (inside > _MIN_MASK)
+    inside = F.interpolate(mask[:, None], size=(side, side), mode="bilinear")
+    usable = (depth > 0) & (inside[:, 0] > _MIN_MASK)
     if isinstance(generator, torch.Generator):
         keys = torch.rand((batch, side * side), generator=generator, device="cpu")
     else:
-        keys = torch.stack(
-            [torch.rand(side * side, generator=own, device="cpu") for own in generator]
-        )
+        keys = torch.stack([torch.rand(side**2, generator=g, device="cpu") for g in generator])
     keys = keys.to(depth.device)
     keys, index = torch.where(usable.flatten(1), keys, -1.0).topk(count, sorted=False)
     valid = keys >= 0
@@ -98,7 +93,7 @@ def sample_points(
 
 
 def crop_frame(K: Tensor, side: int) -> Tensor:
-    """Rotations (B, 3, 3) from the camera to the frames of crops with cameras K and a side."""
+    """Rotations (B, 3, 3) from the camera to the frames of crops with cameras K."""
     backward = torch.linalg.inv(K)
     middle = (side - 1) / 2
     forward = backward @ K.new_tensor([middle, middle, 1.0])
@@ -110,6 +105,6 @@ def crop_frame(K: Tensor, side: int) -> Tensor:
 
 
 def _median(xyz: Tensor, valid: Tensor) -> Tensor:
-    """The median (B, 3) of the valid ones of points (B, N, 3), by coordinate; (0, 0, 1) if none."""
+    """Median (B, 3) of the valid points (B, N, 3), by coordinate; (0, 0, 1) if none."""
     known = torch.where(valid[..., None], xyz, torch.nan).nanmedian(dim=1).values
     return torch.where(valid.any(1)[:, None], known, xyz.new_tensor([0.0, 0.0, 1.0]))

@@ -1,24 +1,25 @@
-"""Keypoints from a depth sensor's points: every point votes for all nine in space.
+"""Keypoints by voting of a depth sensor's points: the RGB-D baseline of the study.
 
-The RGB-D reference of the study, after REDE (Hua et al., "REDE: End-to-end object 6D pose robust
-estimation using differentiable outliers elimination", RA-L 2021) and its kin, DenseFusion (Wang et
-al., CVPR 2019) and PVN3D (He et al., CVPR 2020): each point takes the 2D features of its pixel, a
-PointNet adds what the whole cloud looks like, and each point says where each keypoint is from it,
-and how sure it is of that. What it says starts from the 2D votes, as Mid-Fusion's volume does, and
-corrects them. Keypoints are the points' mean by those confidences; outliers lose their say softly,
-so that all of it can be differentiated. Soft RANSAC then makes a pose of the keypoints.
+After REDE (Hua et al., "REDE: End-to-end object 6D pose robust estimation using differentiable
+outliers elimination", RA-L 2021), DenseFusion (Wang et al., CVPR 2019) and PVN3D (He et al., CVPR
+2020): each point takes the 2D features of its pixel, a PointNet adds global features of the cloud,
+and each point predicts offsets to the keypoints and a confidence. Predictions are corrections of
+the 2D votes, as in Mid-Fusion's volume. Keypoints are confidence-weighted means of the points'
+votes; outliers are down-weighted softly, which is differentiable.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from .decoder import ConvBlock
 from .features import KEYPOINTS
 from .point_cloud import PointCloud
 
@@ -26,20 +27,20 @@ _MIN_LOG_ERROR = math.log(0.01)
 _MAX_LOG_ERROR = math.log(1.0)
 """Limits of the logarithm of a vote's expected error, in diameters."""
 
-_OUTLIER = 0.1
-"""Distance in diameters from the mean at which a vote loses three quarters of its say."""
+_OUTLIER_SCALE = 0.1
+"""Distance in diameters from the mean at which a vote loses three quarters of its weight."""
 
-_ROUNDS = 2
-"""How often outliers are eliminated."""
+_ITERATIONS = 2
+"""Iterations of reweighting."""
 
 _MAX_DISPLACEMENT = 2.0
 """Diameters to which the displacements of the 2D votes are clipped."""
 
 _OUTPUTS = 5
-"""Numbers that a point says of a keypoint: offset (3), error, trust in the 2D vote."""
+"""Outputs of a point for a keypoint: offset (3), log error, logit of the 2D vote's weight."""
 
-_FIRST_TRUST = 2.0
-"""Logit of the trust in the 2D votes before training."""
+_INITIAL_VOTE_LOGIT = 2.0
+"""Initial logit of the 2D votes' weight."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +48,9 @@ class PointConfig:
     """Shape of the point network.
 
     Attributes:
-        points: how many are drawn from a crop.
+        points: samples of a crop.
         width: channels of a point.
-        pooled: channels of a whole cloud.
+        pooled: channels of the cloud.
     """
 
     points: int = 256
@@ -58,13 +59,13 @@ class PointConfig:
 
 
 class PointMaps(NamedTuple):
-    """What the 2D network says of B crops, in pixels of the feature grid.
+    """Outputs of the 2D network for B crops, in pixels of the feature grid.
 
     Attributes:
         features: (B, C, G, G).
         vote_mean: (B, 9, 2).
         vote_covariance: (B, 9, 2, 2).
-        K_grid: (B, 3, 3) camera whose pixels are those of the grid.
+        K_grid: (B, 3, 3) camera of the grid.
     """
 
     features: Tensor
@@ -74,11 +75,11 @@ class PointMaps(NamedTuple):
 
 
 class PointVotes(NamedTuple):
-    """What the points say.
+    """Votes of the points.
 
     Attributes:
         candidates: (B, N, 9, 3) each point's votes in the crop's frame, m.
-        log_error: (B, N, 9) logarithm of the error that a vote expects of itself, in diameters.
+        log_error: (B, N, 9) logarithm of a vote's predicted error, in diameters.
         keypoints: (B, 9, 3) in the camera's frame, m.
         covariance: (B, 9, 3, 3) of the votes for each keypoint, camera's frame, m^2.
     """
@@ -89,25 +90,8 @@ class PointVotes(NamedTuple):
     covariance: Tensor
 
 
-class PointLayer(nn.Sequential):
-    """One layer for each point alone: 1x1 convolution, batch norm, ReLU, on (B, C, N, 1)."""
-
-    def __init__(self, inputs: int, outputs: int):
-        super().__init__(
-            nn.Conv2d(inputs, outputs, 1, bias=False),
-            nn.BatchNorm2d(outputs),
-            nn.ReLU(inplace=True),
-        )
-
-
 class PointVotingNet(nn.Module):
-    """Points of an object to its keypoints.
-
-    Args:
-        objects: how many objects it knows.
-        channels: of the 2D feature maps.
-        config: its shape.
-    """
+    """Keypoints of ``objects`` objects from points with 2D features of ``channels`` channels."""
 
     def __init__(self, objects: int, channels: int, config: PointConfig = PointConfig()):
         super().__init__()
@@ -117,34 +101,31 @@ class PointVotingNet(nn.Module):
         self.film = nn.Linear(64, 2 * width)
         nn.init.zeros_(self.film.weight)
         nn.init.zeros_(self.film.bias)
-        self.first = PointLayer(channels + 3 + 3 * KEYPOINTS, width)
-        self.second = PointLayer(width, width)
-        self.cloud = PointLayer(width, config.pooled)
+        layer = partial(ConvBlock, kernel=1)  # for each point alone, on (B, C, N, 1)
+        self.first = layer(channels + 3 + 3 * KEYPOINTS, width)
+        self.second = layer(width, width)
+        self.cloud = layer(width, config.pooled)
         self.whole = nn.Linear(config.pooled, width)
         self.joined = nn.Conv2d(width, width, 1, bias=False)
         self.norm = nn.BatchNorm2d(width)
-        self.last = PointLayer(width, width)
+        self.last = layer(width, width)
         self.head_weight = nn.Parameter(0.1 * torch.randn(objects, outputs, width) * width**-0.5)
         bias = torch.zeros(objects, KEYPOINTS, _OUTPUTS)
-        bias[..., 4] = _FIRST_TRUST
+        bias[..., 4] = _INITIAL_VOTE_LOGIT
         self.head_bias = nn.Parameter(bias.flatten(1))
 
     def forward(
         self, maps: PointMaps, cloud: PointCloud, objects: Tensor, diameter: Tensor
     ) -> PointVotes:
-        """Votes for the keypoints, in float32 also under autocast.
+        """Votes for the keypoints of ``objects`` (B,) int64; ``diameter`` is (B,) m.
 
-        Args:
-            maps: what the 2D network says.
-            cloud: the points.
-            objects: (B,) int64, which object.
-            diameter: (B,) m.
+        Computes in float32 also under autocast.
         """
         with torch.autocast(cloud.xyz.device.type, enabled=False):
-            across, spread = self._votes_seen(maps, cloud, diameter)
+            across, spread = self._to_votes(maps, cloud, diameter)
             raw = self._per_point(maps, cloud, objects, diameter, across, spread)
-            trusted = across * torch.sigmoid(raw[..., 4:])
-            offset = raw[..., :3] + F.pad(trusted, (0, 1))
+            from_votes = across * torch.sigmoid(raw[..., 4:])
+            offset = raw[..., :3] + F.pad(from_votes, (0, 1))
             candidates = cloud.xyz[:, :, None] + diameter[:, None, None, None] * offset
             log_error = _MIN_LOG_ERROR + (_MAX_LOG_ERROR - _MIN_LOG_ERROR) * torch.sigmoid(
                 raw[..., 3]
@@ -187,9 +168,9 @@ class PointVotingNet(nn.Module):
         return out.mT.unflatten(-1, (KEYPOINTS, _OUTPUTS))
 
     @staticmethod
-    def _votes_seen(maps: PointMaps, cloud: PointCloud, diameter: Tensor) -> tuple[Tensor, Tensor]:
-        """The 2D votes as the points see them, in diameters: the way (B, N, 9, 2) from each point
-        across to the ray of each keypoint, and the logarithm of the votes' spread (B, 1, 9)."""
+    def _to_votes(maps: PointMaps, cloud: PointCloud, diameter: Tensor) -> tuple[Tensor, Tensor]:
+        """Offsets (B, N, 9, 2) across from each point to the ray of each 2D vote, and the logarithm
+        of the votes' spread (B, 1, 9), both in diameters."""
         backward = cloud.R_crop_cam @ torch.linalg.inv(maps.K_grid)
         rays = F.pad(maps.vote_mean, (0, 1), value=1.0) @ backward.mT
         rays = rays[..., :2] / rays[..., 2:].clamp(min=0.1)
@@ -204,37 +185,32 @@ class PointVotingNet(nn.Module):
 
 
 def point_features(decoder: Tensor, mask: Tensor) -> Tensor:
-    """Feature maps (B, W + 1, G, G) of the point network: the 2D network's last map (B, W, G, G),
-    and the probability (B, G, G) of the mask."""
+    """Concatenates the 2D network's last map (B, W, G, G) and its mask (B, G, G)."""
     return torch.cat([decoder.float(), mask[:, None]], 1)
 
 
 def robust_mean(
     candidates: Tensor, log_error: Tensor, valid: Tensor, diameter: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Mean and covariance of the votes, outliers eliminated softly.
+    """Robust mean (B, 9, 3) and covariance (B, 9, 3, 3) of the votes (Geman-McClure IRLS).
 
-    A vote weighs the inverse square of the error it expects of itself (which is that of Laplace's
-    distribution; DenseFusion's confidence is its inverse). Votes far from the mean lose their say
-    by Geman's and McClure's weights, for a few rounds.
+    A vote is weighted by the inverse square of its predicted error (that of Laplace's
+    distribution; DenseFusion's confidence is its inverse).
 
     Args:
         candidates: (B, N, 9, 3) votes, m.
         log_error: (B, N, 9).
-        valid: (B, N) which points vote. With none, the mean of all is returned.
+        valid: (B, N) which points vote. With none, all do.
         diameter: (B,) m.
-
-    Returns:
-        (B, 9, 3) and (B, 9, 3, 3).
     """
     empty = ~valid.any(1)
     valid_or_all = (valid | empty[:, None])[..., None]
     weight = torch.softmax((-2 * log_error).masked_fill(~valid_or_all, -torch.inf), 1)
     mean = torch.einsum("bnk,bnki->bki", weight, candidates)
-    for _ in range(_ROUNDS):
-        miss = (candidates - mean[:, None]).square().sum(-1)
-        say = 1 / (1 + miss / (_OUTLIER * diameter[:, None, None]) ** 2) ** 2
-        kept = weight * say + 1e-12 * valid_or_all
+    for _ in range(_ITERATIONS):
+        squared = (candidates - mean[:, None]).square().sum(-1)
+        inlier = 1 / (1 + squared / (_OUTLIER_SCALE * diameter[:, None, None]) ** 2) ** 2
+        kept = weight * inlier + 1e-12 * valid_or_all
         kept = kept / kept.sum(1, keepdim=True)
         mean = torch.einsum("bnk,bnki->bki", kept, candidates)
     deviation = candidates - mean[:, None]

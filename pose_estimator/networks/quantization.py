@@ -1,8 +1,7 @@
-"""Weights in eight bits a number, for files: symmetric, with one scale for each output channel.
+"""Symmetric int8 quantization of stored weights, with one scale per output channel.
 
 Krishnamoorthi, "Quantizing deep convolutional networks for efficient inference: A whitepaper"
-(2018), section 3. Only files hold them: networks compute with what they stand for, in full
-precision.
+(2018), section 3. Only files are quantized: networks compute in full precision.
 """
 
 from __future__ import annotations
@@ -17,12 +16,11 @@ from ...core.errors import InputError
 
 _MAX_LEVEL = 127
 _MIN_CHANNEL_SIZE = 32
-"""Numbers of an output channel from which on eight bits are used. Depthwise filters have fewer, and
-hardly any share in a file's size."""
+"""Fewest numbers of a quantized output channel. Depthwise filters have fewer, and are small."""
 
 _FIRST = re.compile(r"encoder\.stages\.[012]\.")
-"""Layers that stay in half precision: their errors pass through all that follow. They are half a
-percent of a file, and without their errors votes move by a third less, detections by half."""
+"""Layers that stay in half precision, as all others depend on them. They are half a percent of a
+file, and reduce the change of votes by a third and of detections by half."""
 
 _SCALE = ".scale"
 
@@ -39,17 +37,17 @@ def quantizable(networks: nn.Module) -> set[str]:
 
 
 def quantize(weight: Tensor) -> tuple[Tensor, Tensor]:
-    """Rounds each output channel to 255 equal steps; what comes back is off by half a step at most.
+    """Rounds each output channel to 255 equal steps; the error is at most half a step.
 
-    Scales are bfloat16: they have float32's range, and so few digits that multiples of them are
-    exact. What has been rounded once is therefore not changed by rounding it again.
+    Scales are bfloat16: they have float32's range, and few enough digits that their multiples are
+    exact. Quantizing again therefore changes nothing.
 
     Args:
         weight: (outputs, ...).
 
     Returns:
-        Numbers, int8 as ``weight``, and scales, bfloat16 (outputs,): the steps. A scale is NaN or
-        infinite where the channel holds such a number.
+        int8 of the weight's shape, and the scales, bfloat16 (outputs,). A scale is NaN or infinite
+        if the channel has such a number.
     """
     rows = weight.detach().float().flatten(1)
     scale = (rows.abs().amax(1) / _MAX_LEVEL).bfloat16()
@@ -59,16 +57,16 @@ def quantize(weight: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def dequantize(numbers: Tensor, scale: Tensor) -> Tensor:
-    """What numbers and scales of :func:`quantize` stand for, float32."""
+    """Inverse of :func:`quantize`, float32."""
     return (numbers.float().flatten(1) * scale.float()[:, None]).reshape(numbers.shape)
 
 
 def pack(state: Mapping[str, Tensor], eight_bits: Set[str] = frozenset()) -> dict[str, Tensor]:
-    """Tensors as a file holds them: some in eight bits, batch statistics in full, others in half.
+    """Converts tensors for a file: some to int8, others but batch statistics to float16.
 
     Args:
         state: tensors by name.
-        eight_bits: names of those to be quantized; their scales stand beside them.
+        eight_bits: names of those to quantize; their scales are added.
 
     Raises:
         InputError: if one holds NaN or numbers beyond half precision.

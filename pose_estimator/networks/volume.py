@@ -1,13 +1,12 @@
-"""The voxel volume of Mid-Fusion: features of all views, lifted to where they meet in space.
+"""The voxel volume of Mid-Fusion: features of all views, lifted to 3D.
 
-The volume's axes are parallel to the reference camera's and it is centered on a guess of the
-object's center. Each voxel takes the features that its projections find in the views (outside a
-image: a learned initial value); a 3D CNN turns them into one distribution over the voxels for
-each keypoint, and a keypoint is the distribution's expectation. A coarse volume finds the object,
-a fine one inside it finds the keypoints.
+The volume's axes are parallel to the reference camera's; it is centered on an estimate of the
+object's center. Each voxel samples the features at its projections in the views (outside an image:
+a learned value); a 3D CNN computes a distribution over the voxels for each keypoint, whose
+expectation is the keypoint. A coarse volume locates the object, a fine one inside it the keypoints.
 
-Beside the features a volume may lift each view's 2D evidence: how likely its votes make each voxel
-to be the keypoint. The 3D CNN then starts from probabilistic triangulation and corrects it.
+A volume may also lift each view's 2D evidence: the likelihood of its votes at each voxel. The 3D
+CNN then corrects a probabilistic triangulation.
 """
 
 from __future__ import annotations
@@ -23,10 +22,10 @@ from torch.nn import functional as F
 from .features import KEYPOINTS
 
 _MIN_EVIDENCE = 1e-3
-"""What a voxel far from a vote keeps of its probability: a vote may be wrong."""
+"""Smallest likelihood of a voxel: a vote may be wrong."""
 
 _VOXEL_STD = 0.4
-"""Standard deviation in voxels that a voxel's extent adds to a vote."""
+"""Standard deviation in voxels that the extent of a voxel adds to a vote."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class LevelConfig:
     """Size of one volume.
 
     Attributes:
-        cells: voxels along each side, or None to let ``cell_size`` decide.
+        cells: voxels along each side; None: given by ``cell_size``.
         half_size: half the side in object diameters, or in meters where ``metric``.
         metric: whether ``half_size`` is in meters.
         cell_size: side of a voxel in meters, where ``cells`` is None.
@@ -54,7 +53,7 @@ class LevelConfig:
             return self.cells, half
         assert self.cell_size is not None
         count = math.ceil(2 * float(half.max()) / self.cell_size)
-        # Voxels keep their size, so in a batch all volumes are as large as the largest.
+        # The voxel size is fixed, so all volumes of a batch are as large as the largest.
         return count, torch.full_like(half, count * self.cell_size / 2)
 
 
@@ -63,10 +62,10 @@ class VolumeConfig:
     """Both volumes and the 3D network.
 
     Attributes:
-        coarse: the first volume, around the guess.
-        fine: the second volume, around the coarse answer.
+        coarse: the first volume, around the initial center.
+        fine: the second volume, around the coarse result.
         hidden: channels of the 3D network.
-        evidence: whether the views' votes are lifted beside their features.
+        evidence: whether the views' votes are lifted too.
         coarse_pose: whether the coarse volume's pose is part of the training's loss.
     """
 
@@ -91,7 +90,7 @@ features alone, and both levels' poses in the loss. ``fast`` is the default."""
 
 
 class ViewMaps(NamedTuple):
-    """What B samples of V views bring to a volume, the reference view first.
+    """Inputs from V views of B samples, the reference view first.
 
     Attributes:
         features: (B, V, C, G, G).
@@ -107,7 +106,7 @@ class ViewMaps(NamedTuple):
 
 
 class LevelOutput(NamedTuple):
-    """What one volume says, in the reference camera's frame.
+    """Output of one volume, in the reference camera's frame.
 
     Attributes:
         log_probability: (B, 9, N^3).
@@ -125,12 +124,7 @@ class LevelOutput(NamedTuple):
 
 
 class Volume(nn.Module):
-    """One volume with its 3D network: three convolutions and an output convolution.
-
-    Args:
-        channels: of the lifted feature maps.
-        config: both volumes' configuration.
-    """
+    """One volume with its 3D network; ``channels`` are those of the lifted feature maps."""
 
     def __init__(self, channels: int, config: VolumeConfig):
         super().__init__()
@@ -157,11 +151,11 @@ class Volume(nn.Module):
         """Finds the keypoints in a volume around ``center`` (B, 3); ``diameter`` is (B,)."""
         count, half = level.shape(diameter)
         cell_size = 2 * half / count
-        # Only the convolutions bear bfloat16: at a meter its steps are 8 mm.
+        # Only the convolutions run in bfloat16: at a meter its steps are 8 mm.
         with torch.autocast(center.device.type, enabled=False):
             cells = voxel_centers(center, half, count)
             lifted, evidence = lift(views, cells, cell_size, self.outside, self.evidence)
-        # The paper concatenates two views; further ones share the second's place.
+        # The paper concatenates two views; further ones are averaged with the second.
         others = lifted[:, 1:].mean(1) if lifted.shape[1] > 1 else lifted[:, 0]
         parts = [lifted[:, 0], others]
         if evidence is not None:
@@ -182,12 +176,7 @@ class Volume(nn.Module):
 
 
 class VolumeNet(nn.Module):
-    """Coarse, then fine.
-
-    Args:
-        channels: of the lifted feature maps.
-        config: both volumes.
-    """
+    """The coarse, then the fine volume; ``channels`` are those of the lifted feature maps."""
 
     def __init__(self, channels: int, config: VolumeConfig = PRESETS["fast"]):
         super().__init__()
@@ -196,15 +185,12 @@ class VolumeNet(nn.Module):
         self.fine = Volume(channels, config)
 
     def forward(self, views: ViewMaps, guess: Tensor, diameter: Tensor) -> list[LevelOutput]:
-        """Finds the keypoints.
+        """Computes the coarse and the fine output.
 
         Args:
-            views: what the views bring.
-            guess: (B, 3) the object's center in the reference camera, m.
+            views: their features, cameras and votes.
+            guess: (B, 3) the object's initial center in the reference camera, m.
             diameter: (B,) m.
-
-        Returns:
-            The coarse and the fine answer.
         """
         coarse = self.coarse(views, guess, self.config.coarse, diameter)
         center = coarse.keypoints[:, -1].detach()
@@ -212,7 +198,7 @@ class VolumeNet(nn.Module):
 
 
 def to_conv_layout(x: Tensor) -> Tensor:
-    """A volume (B, C, N, N, N) laid out and rounded as the convolutions want it, in one pass."""
+    """Converts a volume (B, C, N, N, N) to the convolutions' memory format and dtype at once."""
     device = x.device.type
     reduced = torch.is_autocast_enabled(device)
     dtype = torch.get_autocast_dtype(device) if reduced else x.dtype
@@ -233,10 +219,10 @@ def lift(
     """Samples every view at the projections of voxels.
 
     Args:
-        views: what the views bring.
+        views: their features, cameras and votes.
         cells: (B, N, 3) in the reference camera's frame, m.
         cell_size: (B,) side of a voxel, m.
-        outside: (C,) what a voxel gets that projects outside a view.
+        outside: (C,) features of voxels that project outside a view.
         with_evidence: whether to lift the votes as well.
 
     Returns:
@@ -247,7 +233,7 @@ def lift(
     uvw = torch.einsum("bvij,bnj->bvni", P[..., :3], cells) + P[..., 3].unsqueeze(2)
     pixels = uvw[..., :2] / uvw[..., 2:].clamp(min=0.05)
     grid = pixels * (2.0 / (side - 1)) - 1.0
-    features = views.features.float()  # sampling positions do not bear bfloat16
+    features = views.features.float()  # bfloat16 is too coarse for sampling positions
     sampled = F.grid_sample(
         features.reshape(batch * count, channels, side, side),
         grid.reshape(batch * count, 1, -1, 2),
@@ -277,7 +263,7 @@ def lift(
 def _footprint(projection: Tensor, center: Tensor, cell_size: Tensor) -> Tensor:
     """Covariance (B, V, 2, 2) of a voxel's projection, for voxels near ``center`` (B, 3).
 
-    A vote sharper than a voxel would fall between the centers of voxels and be lost.
+    Without it, a vote narrower than a voxel would fall between voxel centers.
     """
     uvw = torch.einsum("bvij,bj->bvi", projection[..., :3], center) + projection[..., 3]
     depth = uvw[..., 2:].clamp(min=0.05)

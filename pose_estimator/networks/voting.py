@@ -1,14 +1,13 @@
-"""Keypoints from a vector field by RANSAC voting, with their covariance.
+"""RANSAC voting of keypoints from a vector field, with covariances.
 
-After PVNet (Peng et al., CVPR 2019, section 3.1). Every pixel of the object points towards each
-keypoint. Pairs of pixels, drawn in proportion to their weight, propose the intersection of their
-two lines; a pixel votes for a proposal that it points at. The spread of the proposals, weighted by
-their votes, says how sure the keypoint is.
+After PVNet (Peng et al., CVPR 2019, section 3.1). Every pixel of the object has a direction to each
+keypoint. Pairs of pixels, sampled in proportion to their weight, propose the intersection of their
+two lines; a pixel votes for the proposals in its direction. The covariance of the proposals,
+weighted by their votes, is the keypoint's uncertainty.
 
-PVNet takes the weighted mean of the proposals; here the lines that agree with the best proposal are
-intersected by least squares, which uses all of them at once. And the covariance also grows where
-few pixels vote, where their lines are nearly parallel, and where they disagree, so that it may be
-trusted as a weight.
+PVNet takes the weighted mean of the proposals; here the inlier lines of the best proposal are
+intersected by least squares. The covariance also grows where few pixels vote, where their lines are
+nearly parallel, and where they disagree, so that it is usable as a weight.
 """
 
 from __future__ import annotations
@@ -25,25 +24,25 @@ if TYPE_CHECKING:
     from .features import Features2D
 
 _HYPOTHESES = 64
-"""Pairs of pixels drawn for each keypoint."""
+"""Pairs of pixels sampled for each keypoint."""
 
 _INLIER_COSINE = 0.99
-"""A pixel votes for a point if its direction and the point's have at least this cosine."""
+"""Smallest cosine between a pixel's direction and that to a proposal it votes for."""
 
 _MAX_PIXELS = 256
-"""Pixels that take part, drawn without replacement in proportion to weight."""
+"""Pixels sampled without replacement in proportion to weight."""
 
 _HYPOTHESIS_POWER = 6
-"""Proposals weigh (votes)**power in the covariance: the far intersection of a bad pair must not."""
+"""Proposals weigh votes**power in the covariance, to suppress intersections of bad pairs."""
 
 _PRIOR_ANGLE = 0.1
-"""Standard deviation in radians that directions are assumed to have before any is seen."""
+"""Prior standard deviation of directions in radians."""
 
 _PRIOR_PIXELS = 8.0
-"""How many pixels' worth of evidence the prior is; also what a few pixels are short of."""
+"""Weight of the prior in pixels."""
 
 _MIN_STD = 0.05
-"""Least standard deviation of a keypoint, in grid pixels."""
+"""Smallest standard deviation of a keypoint, in grid pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +52,7 @@ class Votes:
     Attributes:
         mean: (B, K, 2).
         covariance: (B, K, 2, 2), grid pixels squared, positive definite.
-        score: (B, K), weighted share of the pixels that point at the keypoint, 0 to 1.
+        score: (B, K), weighted share of inlier pixels, 0 to 1.
     """
 
     mean: torch.Tensor
@@ -65,23 +64,21 @@ class Votes:
 def vote_keypoints(directions: torch.Tensor, weights: torch.Tensor) -> Votes:
     """Votes for each keypoint; no gradient.
 
-    The same inputs give the same votes, wherever in a batch they stand: all crops share the same
-    draws, which are the processor's on every device.
+    Votes do not depend on the batch or the device: all crops share the CPU's random numbers.
 
     Args:
-        directions: (B, K, 2, H, W), from each pixel towards each keypoint, (x, y); their length
-            does not matter.
-        weights: how much each pixel counts for each keypoint, (B, K, H, W); not negative.
+        directions: (B, K, 2, H, W), from each pixel to each keypoint, (x, y), of any length.
+        weights: of each pixel for each keypoint, (B, K, H, W); not negative.
 
     Returns:
-        Finite votes always. With no pixel at all, the middle of the grid with a covariance of the
+        Votes, always finite. Without any pixel, the middle of the grid with a covariance of the
         grid's squared diagonal, and score 0.
 
     Raises:
         InputError: if shapes do not match.
     """
     batch, count, height, width = _check_shapes(directions, weights)
-    by_pixel, by_pair = _draws(height * width, count, directions.device)
+    by_pixel, by_pair = _samples(height * width, count, directions.device)
     with torch.autocast(directions.device.type, enabled=False):
         points, lines, weights = _choose_pixels(directions.float(), weights.float(), by_pixel)
         total = weights.sum(dim=-1)
@@ -102,7 +99,7 @@ def vote_keypoints(directions: torch.Tensor, weights: torch.Tensor) -> Votes:
             weights * votes.gather(2, pick.expand(batch, count, 1, weights.shape[-1]))[:, :, 0]
         )
         mean, line_covariance = _intersect(points, lines, inliers, start)
-        # Not further than the proposals may lie, and not away from what was voted for.
+        # Falls back to the best proposal where the intersection is far from it.
         mean = torch.where(((mean - start).norm(dim=-1) < extent)[..., None], mean, start)
 
         alpha = (shares / score[..., None].clamp_min(1e-12)) ** _HYPOTHESIS_POWER
@@ -111,7 +108,7 @@ def vote_keypoints(directions: torch.Tensor, weights: torch.Tensor) -> Votes:
         spread = (alpha[..., None] * offsets).transpose(-1, -2) @ offsets
 
         identity = torch.eye(2, dtype=mean.dtype, device=mean.device)
-        # Pixels outvoted are evidence against the point, and no votes at all say nothing of it.
+        # Outliers are evidence against the point; without votes it is unknown.
         doubt = (1 - score) ** 2 * 0.25 + (total <= 0) * extent**2 + (score <= 0) * extent**2
         covariance = spread + line_covariance + (doubt[..., None, None] + _MIN_STD**2) * identity
         covariance = covariance.clamp(-16 * extent**2, 16 * extent**2)
@@ -121,8 +118,7 @@ def vote_keypoints(directions: torch.Tensor, weights: torch.Tensor) -> Votes:
 def vote(features: Features2D) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Votes for the keypoints of B crops.
 
-    A pixel's weight is its probability to be on the object times the confidence of its vector:
-    vectors are trained to unit length, and shrink where the network hesitates.
+    A pixel's weight is its mask probability times its confidence, the squared length of its vector.
 
     Returns:
         mean (B, 9, 2), covariance (B, 9, 2, 2) in pixels of the feature grid, and score (B, 9).
@@ -137,10 +133,10 @@ def vote(features: Features2D) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor
 
 
 @lru_cache(maxsize=16)
-def _draws(pixels: int, count: int, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
-    """Uniform numbers for the draw of pixels (pixels,) and of pairs (K, 2 * _HYPOTHESES)."""
+def _samples(pixels: int, count: int, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
+    """Uniform random numbers for pixels (pixels,) and pairs (K, 2 * _HYPOTHESES)."""
     generator = torch.Generator("cpu").manual_seed(0)
-    # What inference mode makes could not take part in a later training.
+    # Tensors made in inference mode cannot be used in training.
     with torch.inference_mode(False):
         by_pixel = torch.rand(pixels, generator=generator, device="cpu")
         by_pair = torch.rand((count, 2 * _HYPOTHESES), generator=generator, device="cpu")
@@ -150,7 +146,7 @@ def _draws(pixels: int, count: int, device: torch.device) -> tuple[torch.Tensor,
 def _choose_pixels(
     directions: torch.Tensor, weights: torch.Tensor, uniform: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """At most ``_MAX_PIXELS`` pixels, the same ones for all keypoints of an object.
+    """Samples at most ``_MAX_PIXELS`` pixels, the same for all keypoints of an object.
 
     Returns:
         Their points (B, P, 2), unit directions (B, K, 2, P) and weights (B, K, P).
@@ -160,7 +156,7 @@ def _choose_pixels(
     weights = torch.nan_to_num(weights).clamp_min(0).flatten(-2)
     by_pixel = weights.sum(dim=1)
     if pixels < height * width:
-        # Efraimidis and Spirakis 2006: the largest u^(1/w) are a weighted draw.
+        # Efraimidis and Spirakis 2006: the largest u^(1/w) are a weighted sample.
         keys = uniform.clamp_min(1e-12).log() / by_pixel.clamp_min(1e-12)
         chosen = keys.topk(pixels, dim=-1, sorted=False).indices
     else:
@@ -174,12 +170,9 @@ def _choose_pixels(
 
 
 def _propose(
-    points: torch.Tensor,
-    lines: torch.Tensor,
-    weights: torch.Tensor,
-    uniform: torch.Tensor,
+    points: torch.Tensor, lines: torch.Tensor, weights: torch.Tensor, uniform: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Intersections (B, K, N, 2) of random pairs of lines, and which are lines that do meet."""
+    """Intersections (B, K, N, 2) of random pairs of lines, and whether they are not parallel."""
     batch, count, pixels = weights.shape
     cumulative = weights.cumsum(dim=-1)
     drawn = torch.searchsorted(cumulative, uniform * cumulative[..., -1:], right=True)
@@ -198,10 +191,7 @@ def _propose(
 
 
 def _count_votes(
-    points: torch.Tensor,
-    lines: torch.Tensor,
-    weights: torch.Tensor,
-    proposals: torch.Tensor,
+    points: torch.Tensor, lines: torch.Tensor, weights: torch.Tensor, proposals: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Votes (B, K, N, P) as 0 or 1 and the weighted share (B, K, N) that each proposal gets."""
     # A pixel x with direction d votes for h if d . (h - x) >= c |h - x|. Both sides are matrix
@@ -232,33 +222,30 @@ def _count_votes(
 
 
 def _intersect(
-    points: torch.Tensor,
-    lines: torch.Tensor,
-    inliers: torch.Tensor,
-    start: torch.Tensor,
+    points: torch.Tensor, lines: torch.Tensor, inliers: torch.Tensor, start: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Least-squares intersection (B, K, 2) of the inlier lines, and its covariance.
 
-    A line that errs by an angle misses by the angle times its length, so long ones weigh less.
+    An angular error displaces a line by the angle times its length, so long lines weigh less.
     """
     normals = torch.stack([-lines[:, :, 1], lines[:, :, 0]], dim=2)
     offsets = start[..., None] - points.transpose(1, 2)[:, None]
     precision = 1.0 / (offsets.square().sum(dim=2) + 1.0)
-    missed = -(normals * offsets).sum(dim=2)
+    residuals = -(normals * offsets).sum(dim=2)
     weighted = (inliers * precision)[:, :, None] * normals
     information = weighted @ normals.transpose(-1, -2)
-    moment = (weighted * missed[:, :, None]).sum(dim=-1)
-    # A hair of prior at the best proposal, so that parallel lines leave it where it is.
+    moment = (weighted * residuals[:, :, None]).sum(dim=-1)
+    # A weak prior at the best proposal, for parallel lines.
     ridge = 1e-4 * torch.eye(2, dtype=start.dtype, device=start.device)
     inverse = _inverse_2x2(information + ridge)
     step = (inverse @ moment[..., None])[..., 0]
-    residual = (missed - (normals * step[..., None]).sum(dim=2)).square() * precision
+    squared = (residuals - (normals * step[..., None]).sum(dim=2)).square() * precision
     mass = inliers.sum(dim=-1)
     effective = mass.square() / inliers.square().sum(dim=-1).clamp_min(1e-12)
     scale = mass / effective.clamp_min(1e-12)  # weight of a typical pixel
-    angle = (inliers * residual).sum(dim=-1) / scale.clamp_min(1e-12)
+    angle = (inliers * squared).sum(dim=-1) / scale.clamp_min(1e-12)
     angle = (angle + _PRIOR_PIXELS * _PRIOR_ANGLE**2) / (effective + _PRIOR_PIXELS)
-    # With few pixels the spread of the proposals says little; make up for it.
+    # Compensates for the underestimated spread of few pixels.
     angle = angle * (1 + _PRIOR_PIXELS / effective.clamp_min(1.0))
     return start + step, (angle * scale)[..., None, None] * inverse
 

@@ -1,4 +1,4 @@
-"""Weights on disk: safetensors for the numbers, JSON for what they are."""
+"""Weights files: tensors in safetensors, with a JSON header."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from ...assets.storage import read_object, save_object
 from ...core.errors import InputError
 from ...core.files import write_atomically
 from ...core.results import commit, versions
+from ..methods import OPTIONAL_PARTS, PARTS
 from .container import NetworkConfig, PoseNetworks
 from .detector import DetectorConfig
 from .features import FeatureConfig
-from .parts import OPTIONAL_PARTS, PARTS
 from .quantization import pack, quantizable, unpack
 
 FORMAT = 3
@@ -29,38 +29,37 @@ STORAGE = (
     "weights of convolutions and linear layers: int8 with a bfloat16 scale for each output "
     "channel; batch statistics: float32; all else, the encoders' first layers too: float16"
 )
-"""What a header says of how the numbers are stored."""
+"""The header's description of the number formats."""
 
 SHIPPED = Path(assets.__file__).parent / "weights"
-"""Where the weights that come with the package lie."""
+"""Folder of the weights that ship with the package."""
 
 
 def save_weights(
     networks: PoseNetworks, path: str | Path, header: dict[str, Any], *, surfaces: bool = True
 ) -> None:
-    """Writes weights in eight bits a number (see :func:`pack`), with their header beside them.
+    """Writes weights (see :func:`pack`) and their header, ``.json`` in the same folder.
 
-    Of ``OPTIONAL_PARTS`` only those are written that have been trained. Objects that are not among
-    our thirteen are stored too, in a folder beside the header.
+    ``OPTIONAL_PARTS`` are written if they are trained. Objects that do not ship with the package
+    are stored in a folder next to the header.
 
     Args:
         networks: what to save.
-        path: the ``.safetensors`` file; the header goes to ``.json`` beside it.
-        header: what the weights are: training data, measured accuracy. The objects, shapes, the
-            trained parts, versions and the commit are added.
-        surfaces: whether the meshes of objects that are not ours are stored; without, their
-            keypoints, symmetries and sizes are.
+        path: the ``.safetensors`` file.
+        header: of the weights: training data, measured accuracy. The objects, shapes, trained
+            parts, versions and the commit are added.
+        surfaces: whether the meshes of these objects are stored too.
 
     Raises:
         InputError: if the networks hold NaN or infinite numbers.
     """
     path = Path(path)
-    tensors = pack(stored_state(networks), quantizable(networks))
+    tensors = pack(exported_state_dict(networks), quantizable(networks))
     objects: dict[str, dict[str, Any]] = {}
     for name, model in networks.objects.items():
         objects[name] = {"obj_id": model.obj_id, "diameter": model.diameter}
         if name not in assets.OBJECT_NAMES or model is not assets.load_object(name):
-            # Weights for a user's objects must not depend on where their meshes once lay.
+            # Weights of a user's objects must not depend on the path of their meshes.
             objects[name]["folder"] = f"{path.stem}_objects/{name}"
             surface = surfaces and model.has_surface
             save_object(model, path.parent / objects[name]["folder"], surface=surface)
@@ -87,7 +86,7 @@ def read_header(path: str | Path) -> dict[str, Any]:
     """
     path = Path(path).with_suffix(".json")
     if not path.is_file():
-        raise FileNotFoundError(f"weights header {path} is missing (it lies beside the weights)")
+        raise FileNotFoundError(f"weights header {path} is missing (expected next to the weights)")
     try:
         header = json.loads(path.read_text())
         if header["format"] != FORMAT:
@@ -104,7 +103,7 @@ def find_weights(weights: str | Path) -> Path:
     """The file of shipped weights by name, or of a user's weights by path.
 
     Raises:
-        FileNotFoundError: naming the shipped weights there are.
+        FileNotFoundError: if there is none; names the shipped weights.
     """
     path = Path(weights)
     if path.suffix == ".safetensors":
@@ -130,7 +129,7 @@ def _load_cached(path: Path, modified: int, device: torch.device) -> PoseNetwork
 def load_networks(
     weights: str | Path = "linemod", device: torch.device = torch.device("cpu")
 ) -> PoseNetworks:
-    """Networks in evaluation mode; those used last are shared by all who ask for them.
+    """Networks in evaluation mode; cached, so callers share them.
 
     Raises:
         FileNotFoundError, ValueError: see :func:`find_weights` and :func:`read_networks`.
@@ -140,10 +139,10 @@ def load_networks(
 
 
 def read_networks(path: str | Path) -> PoseNetworks:
-    """Builds the networks that a weights file describes. Runs no code from the file.
+    """Builds the networks that a weights file describes, without running code from the file.
 
-    Objects that were stored with the weights are read from there; others are our thirteen. Optional
-    parts that were not trained keep their initial values.
+    Objects are read from the weights' folder or are the package's. Untrained optional parts keep
+    their initial values.
 
     Raises:
         InputError: if the file is damaged, or does not fit its header.
@@ -178,7 +177,7 @@ def read_networks(path: str | Path) -> PoseNetworks:
         raise InputError(f"weights file {path} is damaged: {error}") from error
     if not all(torch.isfinite(tensor).all() for tensor in tensors.values()):
         raise InputError(f"weights file {path} is damaged: it holds NaN or infinite numbers")
-    expected = stored_state(networks)
+    expected = exported_state_dict(networks)
     wrong = [n for n in expected if n not in tensors or tensors[n].shape != expected[n].shape]
     if wrong or len(tensors) != len(expected):
         raise InputError(
@@ -189,8 +188,8 @@ def read_networks(path: str | Path) -> PoseNetworks:
     return networks.eval()
 
 
-def stored_state(networks: PoseNetworks) -> dict[str, Tensor]:
-    """The tensors by name that weights of these networks hold."""
+def exported_state_dict(networks: PoseNetworks) -> dict[str, Tensor]:
+    """The tensors that a weights file of these networks contains."""
     left_out = tuple(f"{part}." for part in OPTIONAL_PARTS if part not in networks.trained)
     return {
         name: value

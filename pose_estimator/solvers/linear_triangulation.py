@@ -1,15 +1,15 @@
-"""Triangulation by the direct linear transform, as OpenCV does it, with covariances.
+"""Triangulation by the direct linear transform (OpenCV), with covariances.
 
 Two views give four equations for a point, ``(u P3 - P1) X = 0`` and so on, of which OpenCV takes
 the smallest singular vector (Hartley and Zisserman, *Multiple View Geometry*, section 12.2). To
 first order that is least squares of the reprojection errors, weighted by the point's depths. With J
-the derivative of the pixels by the point and D the depths,
+the derivative of the pixels in the point and D the depths,
 
     dX = (J^T D^2 J)^-1 J^T D^2 du,
 
-which carries the covariances of the pixels to the point. A point that two views do not determine
-(parallel rays, or an intersection behind a camera) is put where :mod:`triangulation` puts it, and
-its covariance says how little is known.
+which propagates the pixels' covariances to the point. A point that two views do not determine
+(parallel rays, or an intersection behind a camera) is taken from :mod:`triangulation`, with a large
+covariance.
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from .reprojection import projection_jacobian
-from .triangulation import MAX_DEPTH, MIN_DEPTH, PRIOR_STD, check_cameras, triangulate
+from ...core.errors import InputError
+from .reprojection import check_cameras, projection_jacobian
+from .triangulation import MAX_DEPTH, MIN_DEPTH, PRIOR_STD, triangulate
 
 _PRIOR_WEIGHT = 1e-9
-"""Weight of what is known beforehand, relative to the pixels: it counts where they say nothing."""
+"""Weight of the prior relative to the pixels: it matters only in unobservable directions."""
 
 _UNSEEN_VARIANCE = 1e8
-"""Variance in pixels squared of a pixel that a view does not see."""
+"""Variance in pixels squared of a point that a view does not see."""
 
 
 def triangulate_linearly(
@@ -35,51 +36,34 @@ def triangulate_linearly(
     Ks: Sequence[np.ndarray],
     T_cam_world: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The points that two views triangulate to; of more views, the mean over pairs.
+    """Triangulates points from two views; from more views, averages the pairs.
 
     Each further view is paired with the first. The pairs' points are averaged by their covariances,
-    and the covariance of the average knows that the pairs share the first view.
+    and the covariance of the average accounts for the shared first view.
 
-    Args:
-        pixels: (V, N, 2), the same N points in V >= 2 views; NaN where a view does not see a point.
-        covariances: of the pixels, (V, N, 2, 2), pixels squared.
-        Ks: V camera matrices, (3, 3) each.
-        T_cam_world: V transforms, (4, 4) each, meters. The world is any frame that they share.
-
-    Returns:
-        Points (N, 3) in the frame of the first camera, meters, and their covariances (N, 3, 3).
-        Both are finite always.
-
-    Raises:
-        InputError: if shapes do not match, there are fewer than two views, or a camera is invalid.
+    Takes, returns and raises what :func:`triangulation.triangulate` does.
     """
     pixels = np.asarray(pixels, dtype=np.float64)
     covariances = np.asarray(covariances, dtype=np.float64)
     cameras, T_view_first = check_cameras(pixels, covariances, Ks, T_cam_world)
+    if len(pixels) < 2:
+        raise InputError(f"triangulation needs V >= 2 views, got {len(pixels)}")
     seen = np.isfinite(pixels).all(-1) & np.isfinite(covariances).all((-2, -1))
-    nothing = _UNSEEN_VARIANCE * np.eye(2)
-    covariances = np.where(seen[..., None, None], covariances, nothing)
-    pairs = [[0, other] for other in range(1, len(pixels))]
-    points = np.stack(
-        [_pair(pixels[p], covariances[p], cameras[p], T_view_first[p]) for p in pairs]
-    )
-    gains, slack = zip(
-        *(_gains(x, cameras[p], T_view_first[p]) for x, p in zip(points, pairs, strict=True)),
-        strict=True,
-    )
-    shares = _shares(
-        np.stack(
-            [
-                _carry(gain, covariances[p]) + rest
-                for gain, rest, p in zip(gains, slack, pairs, strict=True)
-            ]
-        )
-    )
-    of_first = sum(share @ gain[0] for share, gain in zip(shares, gains, strict=True))
-    of_others = [share @ gain[1] for share, gain in zip(shares, gains, strict=True)]
-    covariance = _carry(np.stack([of_first, *of_others]), covariances)
-    covariance += (shares @ np.stack(slack) @ shares.swapaxes(-1, -2)).sum(axis=0)
-    return np.einsum("pnij,pnj->ni", shares, points), covariance
+    covariances = np.where(seen[..., None, None], covariances, _UNSEEN_VARIANCE * np.eye(2))
+    points, jacobians, priors, totals = [], [], [], []
+    for other in range(1, len(pixels)):
+        p = [0, other]
+        points.append(_pair(pixels[p], covariances[p], cameras[p], T_view_first[p]))
+        jacobian, prior = _jacobians(points[-1], cameras[p], T_view_first[p])
+        jacobians.append(jacobian)
+        priors.append(prior)
+        totals.append(_propagate_covariance(jacobian, covariances[p]) + prior)
+    weights = _fusion_weights(np.stack(totals))
+    of_first = sum(w @ jacobian[0] for w, jacobian in zip(weights, jacobians, strict=True))
+    of_others = [w @ jacobian[1] for w, jacobian in zip(weights, jacobians, strict=True)]
+    covariance = _propagate_covariance(np.stack([of_first, *of_others]), covariances)
+    covariance += (weights @ np.stack(priors) @ weights.swapaxes(-1, -2)).sum(axis=0)
+    return np.einsum("pnij,pnj->ni", weights, np.stack(points)), covariance
 
 
 def _pair(
@@ -102,13 +86,12 @@ def _pair(
     return points
 
 
-def _gains(
+def _jacobians(
     points: np.ndarray, cameras: np.ndarray, T_view_first: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives (2, N, 3, 2) of triangulated points (N, 3) by their pixels in both views.
+    """Derivatives (2, N, 3, 2) of triangulated points (N, 3) in their pixels in both views.
 
-    Returns:
-        The derivatives, and the covariance (N, 3, 3) of what the pixels leave open.
+    Also returns the covariance (N, 3, 3) of unobservable directions, which the prior bounds.
     """
     seen = points @ T_view_first[:, :3, :3].swapaxes(-1, -2) + T_view_first[:, None, :3, 3]
     seen[..., 2] = np.maximum(seen[..., 2], MIN_DEPTH)
@@ -117,26 +100,23 @@ def _gains(
     normal = (weight * (J.swapaxes(-1, -2) @ J)).sum(axis=0)
     prior = _PRIOR_WEIGHT * np.trace(normal, axis1=-2, axis2=-1)[:, None, None] * np.eye(3)
     inverse = np.linalg.inv(normal + prior)
-    open_part = PRIOR_STD * inverse @ prior
-    return weight * (inverse @ J.swapaxes(-1, -2)), open_part @ open_part.swapaxes(-1, -2)
+    unobservable = PRIOR_STD * inverse @ prior
+    return weight * (inverse @ J.swapaxes(-1, -2)), unobservable @ unobservable.swapaxes(-1, -2)
 
 
-def _shares(covariances: np.ndarray) -> np.ndarray:
-    """How much each of P estimates counts in their mean, (P, N, 3, 3), for their covariances.
-
-    The shares of a point sum to the identity.
-    """
+def _fusion_weights(covariances: np.ndarray) -> np.ndarray:
+    """Information weights (P, N, 3, 3) of P estimates in their mean; they sum to the identity."""
     information = _inverse(covariances[:-1])
-    shares = _inverse(information.sum(axis=0) + _inverse(covariances[-1])) @ information
-    return np.concatenate([shares, np.eye(3) - shares.sum(axis=0, keepdims=True)])
+    weights = _inverse(information.sum(axis=0) + _inverse(covariances[-1])) @ information
+    return np.concatenate([weights, np.eye(3) - weights.sum(axis=0, keepdims=True)])
 
 
 def _inverse(matrices: np.ndarray) -> np.ndarray:
-    """Inverse of positive semidefinite matrices, bounded where they are all but singular."""
-    least = 1e-12 * np.trace(matrices, axis1=-2, axis2=-1)[..., None, None]
-    return np.linalg.inv(matrices + least * np.eye(3))
+    """Inverse of positive semidefinite matrices, regularized where they are nearly singular."""
+    ridge = 1e-12 * np.trace(matrices, axis1=-2, axis2=-1)[..., None, None]
+    return np.linalg.inv(matrices + ridge * np.eye(3))
 
 
-def _carry(gains: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """Sum over views of G S G^T, (N, 3, 3), for gains (V, N, 3, 2) and covariances (V, N, 2, 2)."""
-    return (gains @ covariances @ gains.swapaxes(-1, -2)).sum(axis=0)
+def _propagate_covariance(jacobians: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """Sum of J S J^T over views, (N, 3, 3), for J (V, N, 3, 2) and S (V, N, 2, 2)."""
+    return (jacobians @ covariances @ jacobians.swapaxes(-1, -2)).sum(axis=0)

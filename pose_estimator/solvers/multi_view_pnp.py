@@ -1,9 +1,8 @@
-"""One pose from the votes of several views: uncertainty-driven PnP in all of them at once.
+"""Uncertainty-driven PnP in several views at once.
 
-The model's shape and the cameras' relative poses are both used, so the answer holds for any
-baseline: where the views stand close together the object's size gives the depth, where they stand
-far apart the parallax does. Triangulation alone has only the second. Keypoints that a fusion found
-in space may be explained together with the votes.
+Model and relative camera poses are both used, so the pose is accurate at any baseline: at a short
+one the object's size gives the depth, at a long one the parallax. Triangulation has only the
+second. Keypoints that a fusion triangulated can be residuals in addition to the votes.
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from functools import cached_property
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.geometry import check_intrinsics, check_rigid, invert
 from .reprojection import (
     PnpResult,
     ReprojectionProblem,
+    check_cameras,
     huber_cost,
     point_jacobian,
     refine,
@@ -36,7 +35,7 @@ def multi_view_pnp(
     starts: Sequence[np.ndarray],
     points: SpacePoints | None = None,
 ) -> PnpResult:
-    """The pose that best explains the keypoints of all views, each as far as it can be trusted.
+    """Finds the pose of least Huber cost of the Mahalanobis errors in all views.
 
     Args:
         model_points: (N, 3) in the object's frame, meters, N >= 4.
@@ -44,30 +43,28 @@ def multi_view_pnp(
         covariances: of the pixels, (V, N, 2, 2), pixels squared.
         Ks: V camera matrices, (3, 3) each.
         T_cam_world: V transforms, (4, 4) each, meters. The world is any frame they share.
-        starts: poses T_cam_obj (4, 4) in the first camera to start from; the best end is taken.
-        points: the keypoints as they were found in space, which are to be explained as well.
+        starts: initial poses T_cam_obj (4, 4) in the first camera; the best result is returned.
+        points: keypoints in 3D, as additional residuals.
 
     Returns:
-        The pose in the first camera. Where no start lies in front of all cameras, the first start,
-        with a covariance of a radian and a meter and an infinite cost.
+        The pose in the first camera. If no start is in front of all cameras: the first start, with
+        an identity covariance and an infinite cost.
 
     Raises:
         InputError: if shapes do not match, a camera is invalid or there is no start.
     """
-    count = len(model_points)
-    if np.shape(pixels) != (len(Ks), count, 2) or np.shape(covariances) != (len(Ks), count, 2, 2):
+    pixels, covariances = np.asarray(pixels), np.asarray(covariances)
+    cameras, T_view_first = check_cameras(pixels, covariances, Ks, T_cam_world)
+    if pixels.shape[1] != len(model_points) or not len(starts):
         raise InputError(
-            f"pixels and covariances must be {(len(Ks), count, 2)} and {(len(Ks), count, 2, 2)} "
-            f"for {len(Ks)} cameras, got {np.shape(pixels)} and {np.shape(covariances)}"
+            f"needs pixels of {len(model_points)} keypoints and a start, got {pixels.shape[1]} "
+            f"keypoints and {len(starts)} starts"
         )
-    if len(T_cam_world) != len(Ks) or not len(starts):
-        raise InputError(f"needs {len(Ks)} camera poses and a start, got {len(T_cam_world)} poses")
-    cameras = np.stack([check_rigid(T, f"T_cam_world[{i}]") for i, T in enumerate(T_cam_world)])
     problem = ReprojectionProblem(
-        pixels=np.nan_to_num(np.asarray(pixels, dtype=np.float64), posinf=0, neginf=0),
-        whiteners=whiteners(np.asarray(pixels), np.asarray(covariances)),
-        Ks=np.stack([check_intrinsics(K, f"Ks[{i}]") for i, K in enumerate(Ks)]),
-        T_view_first=cameras @ invert(cameras[0]),
+        pixels=np.nan_to_num(pixels.astype(np.float64), posinf=0, neginf=0),
+        whiteners=whiteners(pixels, covariances),
+        Ks=cameras,
+        T_view_first=T_view_first,
         model_points=np.asarray(model_points, dtype=np.float64),
     )
     if points is not None:
@@ -83,7 +80,7 @@ def multi_view_pnp(
 
 @dataclass(frozen=True, eq=False)
 class SpacePoints:
-    """Keypoints that were found in space.
+    """Keypoints in 3D.
 
     Attributes:
         mean: (N, 3) in the first camera, meters.
@@ -96,7 +93,7 @@ class SpacePoints:
 
 @dataclass(frozen=True, eq=False)
 class _WithPoints(ReprojectionProblem):
-    """Adds the Mahalanobis distances from points in space, each with a Huber weight.
+    """Adds the Mahalanobis distances from 3D points, each with a Huber weight.
 
     Raises:
         InputError: if there is not one point for each of the model's.
@@ -121,7 +118,7 @@ class _WithPoints(ReprojectionProblem):
         return root.transpose(0, 2, 1)
 
     def _distances(self, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-        """Whitened offsets (N, 3) of the keypoints from the points in space."""
+        """Whitened offsets (N, 3) of the keypoints from the 3D points."""
         offset = self.model_points @ rotation.T + translation - self.points.mean
         return (self._space_whiteners @ offset[..., None])[..., 0]
 

@@ -1,11 +1,11 @@
-"""Pose from 2D keypoints and their covariances in one view: uncertainty-driven PnP.
+"""Uncertainty-driven PnP: the pose from 2D keypoints with covariances in one view.
 
 PVNet (Peng et al., CVPR 2019, section 3.2) minimizes the Mahalanobis distance between the projected
 model keypoints and the voted ones,
 
     sum_k (p_k - q_k)^T Sigma_k^-1 (p_k - q_k),
 
-here with a Huber weight (:mod:`reprojection`), from the better of OpenCV's global solvers.
+here with a Huber weight (:mod:`reprojection`), starting from OpenCV's global solvers.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from ...core.geometry import check_intrinsics
 from .reprojection import PnpResult, ReprojectionProblem, point_jacobian, refine, whiteners
 
 _MIN_DEPTH = 0.05
-"""Depth in meters of the object's origin that a pose has at least."""
+"""Smallest depth in meters of the object's origin."""
 
 _MAX_MEAN_COST = 2.0
-"""Mean Huber cost of a keypoint from which the first solver's answer is distrusted."""
+"""Mean Huber cost of a keypoint above which RANSAC is tried too."""
 
 
 def uncertainty_pnp(
     model_points: np.ndarray, pixels: np.ndarray, covariances: np.ndarray, K: np.ndarray
 ) -> PnpResult:
-    """The pose that best explains the keypoints, each as far as it can be trusted.
+    """Finds the pose of least Huber cost of the Mahalanobis reprojection errors.
 
-    Always answers with a finite pose in front of the camera, also for pixels that no pose explains.
-    A keypoint whose pixel or covariance is not finite is left out.
+    Always returns a finite pose in front of the camera. Keypoints whose pixel or covariance is not
+    finite are ignored.
 
     Args:
         model_points: (N, 3) in the object's frame, meters, N >= 4.
@@ -41,8 +41,7 @@ def uncertainty_pnp(
         K: camera matrix, (3, 3).
 
     Raises:
-        InputError: if shapes do not match, there are fewer than 4 points, or ``K`` is no camera
-            matrix.
+        InputError: if shapes do not match, there are fewer than 4 points, or ``K`` is invalid.
     """
     model_points = np.asarray(model_points, dtype=np.float64)
     pixels = np.asarray(pixels, dtype=np.float64)
@@ -59,10 +58,10 @@ def uncertainty_pnp(
     candidates = [_guess(problem)]
     costs = [problem.cost(*candidates[0])]
     if known.sum() >= 4:
-        candidates += _solve(problem, known, cv2.SOLVEPNP_SQPNP)
+        candidates += _solve(problem, known, ransac=False)
         costs += [problem.cost(*pose) for pose in candidates[len(costs) :]]
         if min(costs) > _MAX_MEAN_COST * known.sum():
-            candidates += _ransac(problem, known)
+            candidates += _solve(problem, known, ransac=True)
             costs += [problem.cost(*pose) for pose in candidates[len(costs) :]]
     return refine(problem, *candidates[int(np.argmin(costs))])
 
@@ -70,15 +69,9 @@ def uncertainty_pnp(
 def keypoints_covariance(
     T_cam_obj: np.ndarray, model_points: np.ndarray, pose_covariance: np.ndarray
 ) -> np.ndarray:
-    """Covariance of each keypoint in the camera frame that follows from the pose's.
+    """Propagates a pose covariance (6, 6), see ``PnpResult``, to the keypoints.
 
-    Args:
-        T_cam_obj: (4, 4).
-        model_points: (N, 3), object's frame, meters.
-        pose_covariance: (6, 6), as in ``PnpResult``.
-
-    Returns:
-        (N, 3, 3), meters squared.
+    Returns covariances (N, 3, 3) in the camera frame, meters squared, of ``model_points`` (N, 3).
     """
     jacobian = point_jacobian(np.asarray(model_points) @ T_cam_obj[:3, :3].T)
     return jacobian @ pose_covariance @ jacobian.transpose(0, 2, 1)
@@ -86,23 +79,23 @@ def keypoints_covariance(
 
 @dataclass(frozen=True, eq=False)
 class _SingleView(ReprojectionProblem):
-    """The problem of one view, which has the object's origin in front of it as well."""
+    """One view, with the object's origin in front of the camera as well."""
 
     def cost(self, rotation: np.ndarray, translation: np.ndarray) -> float:
         return super().cost(rotation, translation) if translation[2] > _MIN_DEPTH else np.inf
 
     def whiten(self, errors: np.ndarray) -> np.ndarray:
-        # Rounds differently from a matrix product; measured answers depend on it.
+        # Rounds differently from a matrix product; measured results depend on it.
         return np.einsum("vnij,vnj->vni", self.whiteners, errors)
 
 
 def _guess(problem: _SingleView) -> tuple[np.ndarray, np.ndarray]:
-    """An upright object on the ray through the keypoints, as far as they are spread."""
+    """Initial pose: upright, on the ray through the keypoints, at the depth of their spread."""
     pixels, K = problem.pixels[0], problem.Ks[0]
     weights = np.maximum((problem.whiteners[0] ** 2).sum(axis=(1, 2)), 1e-12)
-    shares = weights / weights.sum()
-    center = shares @ pixels
-    spread = np.sqrt(shares @ ((pixels - center) ** 2).sum(axis=1))
+    weights = weights / weights.sum()
+    center = weights @ pixels
+    spread = np.sqrt(weights @ ((pixels - center) ** 2).sum(axis=1))
     centroid = problem.model_points.mean(axis=0)
     radius = np.sqrt(((problem.model_points - centroid) ** 2).sum(axis=1).mean())
     depth = K[0, 0] * radius / max(spread, 1e-9)
@@ -114,42 +107,23 @@ def _guess(problem: _SingleView) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _solve(
-    problem: _SingleView, known: np.ndarray, method: int
+    problem: _SingleView, known: np.ndarray, ransac: bool
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    try:
-        found, rotation, translation = cv2.solvePnP(
-            np.ascontiguousarray(problem.model_points[known]),
-            np.ascontiguousarray(problem.pixels[0, known]),
-            problem.Ks[0],
-            None,
-            flags=method,
-        )
-    except cv2.error:
-        return []
-    return _candidates(found, rotation, translation)
-
-
-def _ransac(problem: _SingleView, known: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    # Twice the typical standard deviation of a trusted keypoint.
+    """OpenCV's SQPNP or RANSAC on the usable keypoints; an empty list if it fails."""
+    points = np.ascontiguousarray(problem.model_points[known])
+    given = points, np.ascontiguousarray(problem.pixels[0, known]), problem.Ks[0], None
+    # Twice the typical standard deviation of a usable keypoint.
     deviations = 1 / np.sqrt((problem.whiteners[0, known] ** 2).sum(axis=(1, 2)) / 2)
+    limit = float(np.clip(2 * np.median(deviations), 1.0, 50.0))
     try:
-        found, rotation, translation, _ = cv2.solvePnPRansac(
-            np.ascontiguousarray(problem.model_points[known]),
-            np.ascontiguousarray(problem.pixels[0, known]),
-            problem.Ks[0],
-            None,
-            iterationsCount=50,
-            reprojectionError=float(np.clip(2 * np.median(deviations), 1.0, 50.0)),
-            flags=cv2.SOLVEPNP_AP3P,
-        )
+        if ransac:
+            found, rotation, translation, _ = cv2.solvePnPRansac(
+                *given, iterationsCount=50, reprojectionError=limit, flags=cv2.SOLVEPNP_AP3P
+            )
+        else:
+            found, rotation, translation = cv2.solvePnP(*given, flags=cv2.SOLVEPNP_SQPNP)
     except cv2.error:
         return []
-    return _candidates(found, rotation, translation)
-
-
-def _candidates(
-    found: bool, rotation: np.ndarray, translation: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray]]:
     if not found or not np.isfinite(rotation).all() or not np.isfinite(translation).all():
         return []
     return [(cv2.Rodrigues(rotation)[0], translation.ravel())]

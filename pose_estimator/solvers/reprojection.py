@@ -8,21 +8,23 @@ that of (w, v), radians and meters.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from ...core.geometry import make_transform
+from ...core.errors import InputError
+from ...core.geometry import check_intrinsics, check_rigid, invert, make_transform
 
 MIN_POINT_DEPTH = 0.01
-"""Depth in meters that every keypoint of a pose has at least, in every view."""
+"""Smallest depth in meters of a keypoint in every view."""
 
 _HUBER = 2.0
-"""Mahalanobis distance from which a keypoint's pull stops growing."""
+"""Huber threshold, a Mahalanobis distance."""
 
 _MIN_DIVISOR = 1e-3
-"""Depth in meters below which pixels of a point are computed as if it had this one."""
+"""Smallest depth in meters by which a projection divides."""
 
 _ITERATIONS = 12
 
@@ -44,7 +46,7 @@ class PnpResult:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """V cameras that look at N points; everything in the frame of the first.
+    """V cameras that observe N points; everything in the frame of the first.
 
     Attributes:
         pixels: (V, N, 2).
@@ -60,31 +62,31 @@ class Rig:
 
     @property
     def sees(self) -> np.ndarray:
-        """Which view has a usable pixel of which point, (V, N)."""
+        """Whether each view observes each point, (V, N)."""
         return np.any(self.whiteners, axis=(2, 3))
 
     def in_views(self, points: np.ndarray) -> np.ndarray:
-        """Points (N, 3) of the first camera in each camera's frame, (V, N, 3)."""
+        """Transforms points (N, 3) of the first camera to each camera's frame, (V, N, 3)."""
         rotations = self.T_view_first[:, :3, :3].transpose(0, 2, 1)
         return points @ rotations + self.T_view_first[:, None, :3, 3]
 
     def residuals(self, seen: np.ndarray) -> np.ndarray:
         """Whitened reprojection errors (V, N, 2) of points in the cameras' frames (V, N, 3)."""
-        # A point behind a camera is costly, and stays finite.
+        # A point behind a camera has a large but finite error.
         depth = np.maximum(seen[..., 2:], _MIN_DIVISOR)
         errors = (seen @ self.Ks.transpose(0, 2, 1))[..., :2] / depth - self.pixels
         return self.whiten(errors)
 
     def whiten(self, errors: np.ndarray) -> np.ndarray:
-        """Errors (V, N, 2) in pixels as Mahalanobis distances along two axes."""
+        """Whitens errors (V, N, 2) in pixels: their norms become Mahalanobis distances."""
         return (self.whiteners @ errors[..., None])[..., 0]
 
     def jacobians(self, seen: np.ndarray) -> np.ndarray:
         """Derivatives (V, N, 2, 3) of :meth:`residuals` in the points of the first camera."""
         x, y, z = np.moveaxis(seen, -1, 0)
-        ahead = np.stack([x, y, np.maximum(z, _MIN_DIVISOR)], axis=-1)
+        seen = np.stack([x, y, np.maximum(z, _MIN_DIVISOR)], axis=-1)
         rotations = self.T_view_first[:, None, :3, :3]
-        return self.whiteners @ projection_jacobian(ahead, self.Ks) @ rotations
+        return self.whiteners @ projection_jacobian(seen, self.Ks) @ rotations
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +138,7 @@ def refine(
             damping *= 10.0
             if damping > 1e8:
                 break
-    # Directions that the keypoints leave open are known to a radian and a meter.
+    # The prior of one radian and one meter bounds unobservable directions.
     covariance = np.linalg.inv(information + np.eye(6))
     return PnpResult(make_transform(rotation, translation), covariance, float(cost))
 
@@ -151,11 +153,9 @@ def huber_cost(residuals: np.ndarray) -> float:
 def robust_normal_equations(
     residuals: np.ndarray, jacobian: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient (6,) and Gauss-Newton matrix (6, 6) of the Huber cost of whitened residuals.
+    """Gradient (6,) and Gauss-Newton matrix (6, 6) of the Huber cost.
 
-    Args:
-        residuals: (N, D).
-        jacobian: (N, D, 6).
+    ``residuals`` are whitened, (N, D), with derivatives ``jacobian`` (N, D, 6).
     """
     distances = np.sqrt((residuals**2).sum(axis=1))
     weights = np.minimum(1.0, _HUBER / np.maximum(distances, 1e-12))
@@ -164,14 +164,9 @@ def robust_normal_equations(
 
 
 def projection_jacobian(points: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """Derivative of ``geometry.project`` in points of the camera's frame.
+    """Derivative (..., 2, 3) of ``geometry.project`` in points of the camera's frame.
 
-    Args:
-        points: (..., 3), or (V, N, 3) with a camera for each view.
-        K: (3, 3) or (V, 3, 3).
-
-    Returns:
-        (..., 2, 3).
+    Takes points (..., 3) and K (3, 3), or (V, N, 3) and (V, 3, 3).
     """
     uvw = points @ K.swapaxes(-1, -2)
     rows = K if K.ndim == 2 else K[:, None]
@@ -191,18 +186,13 @@ def point_jacobian(rotated: np.ndarray) -> np.ndarray:
 
 
 def whiteners(pixels: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """Whitening matrices of pixels: the closed-form inverse of a 2x2 Cholesky factor.
+    """Whitening matrices: W (..., 2, 2) with W^T W = Sigma^-1, by a closed-form Cholesky factor.
 
-    Args:
-        pixels: (..., 2).
-        covariances: theirs, (..., 2, 2), pixels squared.
-
-    Returns:
-        W (..., 2, 2) with W^T W = Sigma^-1; zero where a pixel or its covariance is not finite.
+    Zero where a pixel (..., 2) or its covariance (..., 2, 2) is not finite.
     """
     usable = np.isfinite(pixels).all(axis=-1) & np.isfinite(covariances).all(axis=(-2, -1))
     covariances = np.where(usable[..., None, None], covariances, np.eye(2))
-    # A thousandth of a pixel is sharper than any detector.
+    # No detector is more precise than a thousandth of a pixel.
     a = np.maximum(covariances[..., 0, 0], 1e-6)
     d = np.maximum(covariances[..., 1, 1], 1e-6)
     b = 0.5 * (covariances[..., 0, 1] + covariances[..., 1, 0])
@@ -215,3 +205,27 @@ def whiteners(pixels: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     whiteners[..., 1, 1] = 1 / second
     whiteners[~usable] = 0.0
     return whiteners
+
+
+def check_cameras(
+    pixels: np.ndarray,
+    covariances: np.ndarray,
+    Ks: Sequence[np.ndarray],
+    T_cam_world: Sequence[np.ndarray],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Checks all shapes; returns K of each view (V, 3, 3) and T_view_first (V, 4, 4)."""
+    if pixels.ndim != 3 or pixels.shape[2] != 2:
+        raise InputError(f"pixels must be (V, N, 2), got shape {pixels.shape}")
+    if covariances.shape != (*pixels.shape, 2):
+        raise InputError(
+            f"covariances must be {(*pixels.shape, 2)} to match pixels, got {covariances.shape}"
+        )
+    views = len(pixels)
+    if not len(Ks) == len(T_cam_world) == views > 0:
+        raise InputError(
+            f"Ks and T_cam_world must have one entry for each of the {views} views, "
+            f"got {len(Ks)} and {len(T_cam_world)}"
+        )
+    cameras = np.stack([check_intrinsics(K, f"Ks[{i}]") for i, K in enumerate(Ks)])
+    poses = np.stack([check_rigid(T, f"T_cam_world[{i}]") for i, T in enumerate(T_cam_world)])
+    return cameras, poses @ invert(poses[0])

@@ -1,8 +1,8 @@
-"""From nine 3D keypoints to a pose: the solver of the paper, and the two it is measured against.
+"""Pose from nine 3D keypoints: the solver of the paper and two baselines.
 
 ``soft`` is Soft RANSAC. ``kabsch`` is the least-squares fit of all nine keypoints. ``hard`` is
-RANSAC (Fischler and Bolles 1981) without chance: all 84 triples are tried, the one that most
-keypoints agree with wins, and its inliers are fitted by least squares.
+exhaustive (deterministic) RANSAC (Fischler and Bolles 1981): of all 84 triples the one with most
+inliers is chosen, and its inliers are fitted by least squares.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from .soft_ransac import SoftRansacConfig, check_points, kabsch, soft_ransac
 from .three_point import three_point_fits
 
 SOLVERS = ("soft", "kabsch", "hard")
-"""Names that :func:`solve` knows."""
+"""Names of the solvers."""
 
 SOLVER_INLIER = 0.2
-"""Distance in diameters at which a keypoint counts half in Soft RANSAC, and no more in the hard."""
+"""Inlier threshold in diameters; in Soft RANSAC a keypoint at this distance counts half."""
 
 SOLVER_SHARPNESS = 4.0
-"""How much Soft RANSAC leans towards its best hypotheses."""
+"""Exponent of Soft RANSAC's scores."""
 
 _MIN_STD = 0.01
-"""Standard deviation in diameters below which no keypoint is trusted more than another."""
+"""Smallest standard deviation of a keypoint, in diameters."""
 
 
 class RigidMotions(NamedTuple):
@@ -62,18 +62,17 @@ def solve(
     solver: str = "soft",
     covariance: Tensor | None = None,
 ) -> RigidMotions:
-    """Poses from predicted keypoints.
+    """Computes poses from predicted keypoints.
 
-    ``soft`` and ``kabsch`` are differentiable in ``predicted``. Of ``hard`` only the last fit is:
-    which keypoints are inliers has no gradient.
+    ``soft`` and ``kabsch`` are differentiable in ``predicted``, of ``hard`` only the last fit.
 
     Args:
         model_points: keypoints in the object's frame, (K, 3) or (B, K, 3), meters.
         predicted: the same keypoints in the camera's frame, (B, K, 3), meters.
         diameter: of the object in meters, one number or one for each pose (B,).
         solver: one of ``SOLVERS``.
-        covariance: of ``predicted``, (B, K, 3, 3); keypoints then count in inverse proportion to
-            their variance. None lets all count the same.
+        covariance: of ``predicted``, (B, K, 3, 3); keypoints are weighted by their inverse
+            variance; None weights all the same.
 
     Raises:
         InputError: if the solver is unknown or shapes do not match.
@@ -107,18 +106,18 @@ def solve_pose(
         solver,
         None if covariance is None else _on_cpu(covariance)[None],
     )
-    # Single precision's rounding is removed from the rotation.
+    # Removes single precision's rounding from the rotation.
     u, _, vt = np.linalg.svd(motion.rotation[0].double().cpu().numpy())
     return make_transform(u @ vt, motion.translation[0].double().cpu().numpy())
 
 
 def _on_cpu(array: np.ndarray) -> Tensor:
-    """One pose is too small to be worth a way to a GPU."""
+    """A single pose is too small to benefit from a GPU."""
     return torch.from_numpy(array).to("cpu", torch.float32)
 
 
 def _weights(predicted: Tensor, covariance: Tensor, diameter: float | Tensor) -> Tensor:
-    """How much each keypoint counts, (B, K), one on average."""
+    """Weights of the keypoints, (B, K), one on average."""
     if covariance.shape != (*predicted.shape, 3):
         raise InputError(
             f"covariance must be {(*predicted.shape, 3)} to match predicted, "
@@ -133,7 +132,7 @@ def _weights(predicted: Tensor, covariance: Tensor, diameter: float | Tensor) ->
 def _hard_ransac(
     model_points: Tensor, predicted: Tensor, threshold: float | Tensor, weights: Tensor | None
 ) -> RigidMotions:
-    """The least-squares fit of the largest set of keypoints that agree with one triple."""
+    """Fits the largest set of inliers of one triple by least squares."""
     model_points, predicted = check_points(model_points, predicted)
     with torch.autocast(predicted.device.type, enabled=False):
         hypotheses = three_point_fits(model_points, predicted)
@@ -142,20 +141,20 @@ def _hard_ransac(
             limit = torch.as_tensor(threshold, dtype=distances.dtype, device=distances.device)
             limit = limit.reshape(-1, 1, 1)
             inliers = distances < limit
-            # Of two triples with as many inliers, the better fit: its share is less than one.
+            # Breaks ties between equal numbers of inliers; less than one.
             misfit = torch.minimum(distances / limit, distances.new_ones(())).square().mean(dim=1)
-            worst = 1e4 * hypotheses.degenerate
-            best = (inliers.sum(dim=1) - misfit - worst).argmax(dim=-1)
+            penalty = 1e4 * hypotheses.degenerate
+            best = (inliers.sum(dim=1) - misfit - penalty).argmax(dim=-1)
             chosen = torch.nn.functional.one_hot(best, distances.shape[-1]).to(predicted.dtype)
-        agreeing = (inliers & chosen[:, None].bool()).any(dim=-1).to(predicted.dtype)
+        consensus = (inliers & chosen[:, None].bool()).any(dim=-1).to(predicted.dtype)
         fitted = kabsch(
-            model_points, predicted, agreeing if weights is None else agreeing * weights
+            model_points, predicted, consensus if weights is None else consensus * weights
         )
-        enough = agreeing.sum(dim=-1) >= 3
-        rotation, place = hypotheses.average(chosen)
+        enough = consensus.sum(dim=-1) >= 3
+        rotation, position = hypotheses.average(chosen)
         rotation = project_to_so3(rotation)
         center = hypotheses.triangles.center[..., None]
-        triple = rotation, place - (rotation @ center)[..., 0]
+        triple = rotation, position - (rotation @ center)[..., 0]
         return RigidMotions(
             torch.where(enough[:, None, None], fitted[0], triple[0]),
             torch.where(enough[:, None], fitted[1], triple[1]),

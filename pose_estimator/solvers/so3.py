@@ -2,8 +2,8 @@
 
 Horn's closed form (Journal of the Optical Society of America A, 1987): the entries of a rotation
 are quadratic forms in its unit quaternion, hence so is the trace of R^T M, and the eigenvector of
-its largest eigenvalue is the quaternion of the nearest rotation. No reflection has to be mended
-afterwards, as after a singular value decomposition, and it takes half the time.
+its largest eigenvalue is the quaternion of the nearest rotation. Unlike with a
+singular value decomposition, no determinant correction is needed, and it takes half the time.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from torch.autograd.function import once_differentiable
 def project_to_so3(matrices: torch.Tensor) -> torch.Tensor:
     """The rotations nearest to matrices (..., 3, 3) in the Frobenius norm.
 
-    The gradient is that of the polar decomposition itself. Unlike the gradient of the quaternion
-    it is finite at equal singular values, where an average of rotations always is.
+    The gradient is that of the polar decomposition. Unlike the quaternion's it is finite at equal
+    singular values, where averages of rotations are.
     """
     if torch.is_grad_enabled() and matrices.requires_grad:
         return _ProjectToSO3.apply(matrices)
@@ -61,12 +61,11 @@ class _ProjectToSO3(torch.autograd.Function):
 
 @lru_cache(maxsize=16)
 def _quadratic_forms(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
-    """What the entries of a rotation, row by row, are in its quaternion (w, x, y, z): (9, 16)."""
-    # What inference mode makes could not take part in a later training.
+    """Quadratic forms (9, 16) of a rotation's entries, by row, in its quaternion (w, x, y, z)."""
+    # Tensors made in inference mode cannot be used in training.
     with torch.inference_mode(False):
         forms = torch.zeros(3, 3, 4, 4, dtype=dtype, device="cpu")
         for i in range(3):
-            # Three axes in turn, and where a quaternion has them.
             j, k = (i + 1) % 3, (i + 2) % 3
             p, q, r = 1 + i, 1 + j, 1 + k
             signs = torch.tensor([1, 1, -1, -1], dtype=dtype, device="cpu")

@@ -1,12 +1,12 @@
-"""Soft RANSAC: one pose from nine 3D keypoints, differentiably and in spite of outliers.
+"""Soft RANSAC, the paper's solver: a pose from nine 3D keypoints, differentiable and robust.
 
-The solver of the paper. Every triple of keypoints gives one rigid hypothesis, C(9, 3) = 84 in all;
-every hypothesis is scored by how many keypoints it brings near their predictions,
+Each triple of keypoints gives a rigid hypothesis, C(9, 3) = 84 in all. A hypothesis is scored by
+its soft number of inliers,
 
     s_k = sum_i sigmoid(gamma1 * (gamma2 - d_ki)),    d_ki = |R_k m_i + t_k - p_i|,
 
-and the hypotheses are averaged in proportion to their scores. The average of rotations is projected
-back onto SO(3).
+and the hypotheses are averaged with weights proportional to their scores. The mean of the rotations
+is projected onto SO(3).
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class SoftRansacConfig:
     Attributes:
         gamma1: steepness of the inlier test in 1/m, one number or one for each pose (B,).
         gamma2: distance in meters at which a keypoint counts half, one number or (B,).
-        sharpness: hypotheses are weighted by ``score ** sharpness``. The paper's average is 1; more
-            leans towards the best hypotheses, and about 8 shakes off gross outliers.
+        sharpness: hypotheses are weighted by ``score ** sharpness``. The paper uses 1; about
+            8 is robust to gross outliers.
     """
 
     gamma1: float | torch.Tensor = 500.0
@@ -39,13 +39,7 @@ class SoftRansacConfig:
     def for_diameter(
         cls, diameter: float | torch.Tensor, *, inlier: float = 0.1, sharpness: float = 1.0
     ) -> SoftRansacConfig:
-        """Scales the inlier test with the object.
-
-        Args:
-            diameter: of the object in meters, one number or one for each pose (B,).
-            inlier: ``gamma2`` in diameters.
-            sharpness: as the attribute.
-        """
+        """Scales the inlier test by the object's diameter in meters; ``inlier`` is in diameters."""
         gamma2 = inlier * diameter
         return cls(gamma1=5.0 / gamma2, gamma2=gamma2, sharpness=sharpness)
 
@@ -72,7 +66,7 @@ def soft_ransac(
     config: SoftRansacConfig = SoftRansacConfig(),
     weights: torch.Tensor | None = None,
 ) -> SoftRansacResult:
-    """Averages all three-point poses, each by its soft inlier count.
+    """Averages all three-point poses, weighted by their soft inlier counts.
 
     Gradients flow to ``predicted`` and ``weights``; the model is constant. Work is done in float32
     (float64 for float64 input), also under autocast.
@@ -93,19 +87,19 @@ def soft_ransac(
             gamma.to(predicted).reshape(-1, 1, 1) if isinstance(gamma, torch.Tensor) else gamma
             for gamma in (config.gamma1, config.gamma2)
         )
+        # s_k = sum_i sigmoid(gamma1 * (gamma2 - d_ki)), each keypoint with its weight.
         inliers = (gamma1 * (gamma2 - hypotheses.residuals())).sigmoid()
         if weights is not None:
             inliers = inliers * weights.to(inliers.dtype)[..., None]
         scores = inliers.sum(dim=1)
 
-        # softmax(p log s) = s^p / sum s^p. Degenerate triples come last: a pose that has no others
-        # still has a finite answer.
+        # softmax(p log s) = s^p / sum s^p. A pose with degenerate triples only is still finite.
         powers = config.sharpness * (scores + 1e-12).log()
         alpha = powers.masked_fill(hypotheses.degenerate, -1e4).softmax(dim=-1)
-        # A rotation turns about the model's centroid, which stays where the hypotheses put it.
-        mean_rotation, place = hypotheses.average(alpha)
+        # The rotation is about the model's centroid, which moves to the mean of its positions.
+        mean_rotation, position = hypotheses.average(alpha)
         rotation = project_to_so3(mean_rotation)
-        translation = place - (rotation @ hypotheses.triangles.center[..., None])[..., 0]
+        translation = position - (rotation @ hypotheses.triangles.center[..., None])[..., 0]
     return SoftRansacResult(rotation, translation, alpha)
 
 
@@ -114,10 +108,7 @@ def kabsch(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Least-squares rigid motion of all points (Kabsch 1976), differentiable.
 
-    Args:
-        model_points: (K, 3) or (B, K, 3).
-        predicted: (B, K, 3).
-        weights: of the squared distances, (B, K), not negative; 1 if None.
+    Takes what :func:`soft_ransac` does; ``weights`` are those of the squared distances.
 
     Returns:
         Rotation (B, 3, 3) and translation (B, 3), model to predicted.

@@ -1,11 +1,11 @@
-"""The rigid motion of every three keypoints, all hypotheses of all poses at once.
+"""Rigid motions of all triples of keypoints, for all poses at once.
 
 A three-point fit needs no singular value decomposition. Two centered triangles span one plane each;
-the best rotation (Kabsch) lays one plane on the other and then turns it in the plane, and that turn
-is the two-dimensional Procrustes angle, which has a closed form.
+the best rotation (Kabsch) aligns the planes and then rotates in the plane by the two-dimensional
+Procrustes angle, which has a closed form.
 
-All that depends on the model alone is worked out once for each model. What is left are a few
-operations on long rows, one number for each triangle: vectors lie as their coordinates, (3, B, H).
+What depends on the model alone is computed once for each model. Vectors are stored by coordinate,
+(3, B, H), so that the rest is a few operations on long rows.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ _MIN_MODEL_HEIGHT = 0.02
 """Height over longest side below which a model triple counts as collinear."""
 
 _MIN_PREDICTED_AREA = 0.01
-"""Area over the model triangle's area below which a predicted triple says nothing of rotation."""
+"""Area over the model triangle's area below which a predicted triple is degenerate."""
 
 
 class _Triangles(NamedTuple):
-    """What the triangles of a model are; the B is there if each pose has a model of its own.
+    """The triangles of a model; the dimension B exists if each pose has its own model.
 
     Attributes:
         sums: weights of the keypoints, (5, [B,] K, H), in the two edges from the first corner, in
-            the real and the imaginary part of the turn, and in the centroid.
-        smallest: squared double area up to which a predicted triangle is of no use, ([B,] H);
-            infinite where the model's is none.
+            the real and the imaginary part of the in-plane rotation, and in the centroid.
+        min_area: squared double area up to which a predicted triangle is degenerate, ([B,] H);
+            infinite where the model's triangle is.
         coordinates: of all keypoints along axes by an edge, across it and normal, from the
             centroid, (3, B or 1, K, H).
-        shares: what each axis, and last the centroid, adds to the rotation and, beside it, to
-            where the model's center goes, (4, [B,] H, 4); three times over, one for each of x, y,
-            z, if poses share the model, (12, H, 4).
+        shares: contributions of the axes, and last of the centroid, to the rotation (3 columns)
+            and to the position of the model's center (1 column), (4, [B,] H, 4); repeated for each
+            of x, y, z if poses share the model, (12, H, 4).
         center: mean of the keypoints, ([B,] 3).
     """
 
     sums: torch.Tensor
-    smallest: torch.Tensor
+    min_area: torch.Tensor
     coordinates: torch.Tensor
     shares: torch.Tensor
     center: torch.Tensor
@@ -51,15 +51,14 @@ class _Triangles(NamedTuple):
 class Hypotheses(NamedTuple):
     """The motions of H triples of keypoints of B poses.
 
-    Each lays the model's triangle on the predicted one: centroid on centroid, and the axes of the
-    one on those of the other.
+    Each maps the centroid and the axes of the model's triangle to those of the predicted one.
 
     Attributes:
         axes: of the predicted triangles; coordinate, axis, pose, triple: (3, 3, B, H).
         centroids: of the predicted triangles, from ``origin``, (3, B, H).
         origin: (B, 1, 3).
         points: the predicted keypoints from ``origin``, (B, K, 3).
-        degenerate: triples that say nothing of rotation, (B, H); their motions are finite, no more.
+        degenerate: triples that do not constrain the rotation, (B, H); their motions are finite.
         triangles: of the model.
     """
 
@@ -71,24 +70,19 @@ class Hypotheses(NamedTuple):
     triangles: _Triangles
 
     def residuals(self) -> torch.Tensor:
-        """Distance in meters of every keypoint from where every triple puts it, (B, K, H)."""
+        """Distances d_ki in meters of every keypoint under every hypothesis, (B, K, H)."""
         points = torch.cat([self.points] * 3)
         axes = self.axes.flatten(1, 2).transpose(0, 1)  # (3 B, 3, H)
-        # Along each axis: where a keypoint should be, less where it is.
+        # Along each axis: the model's keypoint minus the predicted one.
         centroids = (self.axes * self.centroids[:, None]).sum(dim=0)
         offsets = (centroids[:, :, None] + self.triangles.coordinates).flatten(0, 1)
         offsets = offsets.baddbmm_(points, axes, alpha=-1).unflatten(0, (3, len(self.points)))
         return ((offsets * offsets).sum(dim=0) + 1e-12).sqrt()  # smooth at zero
 
     def average(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Weighted sums of the motions.
+        """Weighted means of the rotations (B, 3, 3) and of the model center's positions (B, 3).
 
-        Args:
-            weights: of the triples, (B, H); a pose's sum to one.
-
-        Returns:
-            Of rotations, (B, 3, 3), in general none itself; and of where the mean of the model's
-            keypoints goes, (B, 3).
+        The ``weights`` (B, H) of a pose's triples sum to one.
         """
         parts = torch.cat([self.axes, self.centroids[:, None]], dim=1) * weights
         shares = self.triangles.shares
@@ -116,15 +110,15 @@ def three_point_fits(model_points: torch.Tensor, predicted: torch.Tensor) -> Hyp
     sums = _sums(points, triangles.sums)
     cross = _cross(sums[0], sums[1])
     doubled_area = (cross * cross).sum(dim=0)
-    degenerate = doubled_area <= triangles.smallest
-    # Those stay as they are: what has no direction has no gradient of it either, not even NaN.
+    degenerate = doubled_area <= triangles.min_area
+    # Degenerate normals are not normalized, so that no gradient is NaN.
     normal = cross * doubled_area.masked_fill(degenerate, 1.0).rsqrt()
-    # In the plane, with points as complex numbers, the best turn is along sum b conj(a); a quarter
-    # turn is a cross product with the normal.
+    # In the plane, with points as complex numbers, the best rotation is along sum b conj(a); a
+    # quarter turn is a cross product with the normal.
     quarter = _cross(torch.cat([normal, normal[:2]]), sums[2:4])
-    turn, across = sums[2, :3] - quarter[1], sums[3, :3] + quarter[0]
-    scale = (turn * turn).sum(dim=0).masked_fill(degenerate, 1.0).rsqrt()
-    axes = torch.stack([turn * scale, across * scale, normal], dim=1)
+    along, across = sums[2, :3] - quarter[1], sums[3, :3] + quarter[0]
+    scale = (along * along).sum(dim=0).masked_fill(degenerate, 1.0).rsqrt()
+    axes = torch.stack([along * scale, across * scale, normal], dim=1)
     return Hypotheses(axes, sums[4, :3], origin, points, degenerate, triangles)
 
 
@@ -139,22 +133,22 @@ def _sums(points: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
 
 
 def _cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Cross products (..., 3, B, H) of vectors (..., 5, B, H), x and y of which come twice."""
+    """Cross products (..., 3, B, H) of vectors given as x, y, z, x, y, (..., 5, B, H)."""
     a_next, a_last = a.narrow(-3, 1, 3), a.narrow(-3, 2, 3)
     b_next, b_last = b.narrow(-3, 1, 3), b.narrow(-3, 2, 3)
     return torch.addcmul(a_next * b_last, a_last, b_next, value=-1)
 
 
 def _model_triangles(points: torch.Tensor) -> _Triangles:
-    """The triangles of a model (K, 3), which are remembered, or of several (B, K, 3)."""
+    """The triangles of a model (K, 3), which are cached, or of several (B, K, 3)."""
     if points.ndim == 3 or points.device.type != "cpu":
         return _find_triangles(points)
-    return _known_triangles(points.cpu().numpy().tobytes(), points.shape, points.dtype)
+    return _cached_triangles(points.cpu().numpy().tobytes(), points.shape, points.dtype)
 
 
 @lru_cache(maxsize=128)
-def _known_triangles(content: bytes, shape: torch.Size, dtype: torch.dtype) -> _Triangles:
-    # What inference mode makes could not take part in a later training.
+def _cached_triangles(content: bytes, shape: torch.Size, dtype: torch.dtype) -> _Triangles:
+    # Tensors made in inference mode cannot be used in training.
     with torch.inference_mode(False):
         return _find_triangles(torch.frombuffer(bytearray(content), dtype=dtype).reshape(shape))
 
@@ -172,7 +166,7 @@ def _find_triangles(points: torch.Tensor) -> _Triangles:
         raise InputError(
             "model_points lie on one line (or in one point): they do not determine a rotation"
         )
-    # Flat ones have stand-ins, which keep everything finite.
+    # Degenerate triangles are replaced by placeholders, which keep everything finite.
     x, _, z = torch.eye(3, dtype=points.dtype, device=points.device)[:, :, None]
     along = _unit(torch.where(flat[..., None, :], x, edge_a))
     normal = _unit(torch.where(flat[..., None, :], z, cross))
@@ -198,7 +192,7 @@ def _find_triangles(points: torch.Tensor) -> _Triangles:
     shares = torch.cat([shares, last]).mT.contiguous()
     return _Triangles(
         sums=torch.stack(torch.broadcast_tensors(*alike)),
-        smallest=torch.where(flat, torch.inf, (_MIN_PREDICTED_AREA * area).square()),
+        min_area=torch.where(flat, torch.inf, (_MIN_PREDICTED_AREA * area).square()),
         coordinates=coordinates if points.ndim == 3 else coordinates[:, None],
         shares=shares if points.ndim == 3 else shares.repeat(3, 1, 1),
         center=center,
@@ -211,8 +205,8 @@ def _unit(vectors: torch.Tensor) -> torch.Tensor:
 
 @lru_cache(maxsize=16)
 def _corners(count: int, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
-    """Which keypoint is which corner of each triple, ones and zeros (3, K, H)."""
-    # What inference mode makes could not take part in a later training.
+    """One-hot keypoints of the three corners of each triple, (3, K, H)."""
+    # Tensors made in inference mode cannot be used in training.
     with torch.inference_mode(False):
         triples = torch.tensor(list(combinations(range(count), 3)), device=device)  # (H, 3)
         return torch.eye(count, dtype=dtype, device=device)[triples].permute(1, 2, 0).contiguous()

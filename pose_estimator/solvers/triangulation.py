@@ -1,10 +1,9 @@
-"""Points in space from their pixels in two or more views, with covariances.
+"""Least-squares triangulation from two or more views, with covariances.
 
 The rays of the pixels are intersected by least squares, and the intersection is refined by
 Gauss-Newton on the Mahalanobis reprojection error in all views (Hartley and Zisserman, *Multiple
-View Geometry*, chapter 12, with a covariance for each pixel). Where the rays are parallel their
-distance is open: a weak prior then keeps the point finite, and the covariance says how little is
-known.
+View Geometry*, chapter 12, with a covariance for each pixel). Where the rays are parallel the
+depth is unobservable: a weak prior keeps the point finite, and its covariance is large.
 """
 
 from __future__ import annotations
@@ -15,20 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.geometry import check_intrinsics, check_rigid, invert
-from .reprojection import Rig, whiteners
+from ...core.geometry import invert
+from .reprojection import Rig, check_cameras, whiteners
 
 MIN_DEPTH = 0.05
-"""Depth in meters of a point in every view at least, where the views allow it."""
+"""Smallest depth in meters of a point in every view, where the views allow it."""
 
 MAX_DEPTH = 10.0
 """Largest depth in meters: a table-top scene has nothing further."""
 
 _NOMINAL_DEPTH = 1.0
-"""Depth in meters at which a point is put if its rays do not say."""
+"""Depth in meters of a point whose rays do not determine it."""
 
 PRIOR_STD = 10.0
-"""Standard deviation in meters of what is known of a point before it is seen."""
+"""Standard deviation in meters of the prior on a point."""
 
 _ITERATIONS = 8
 
@@ -39,7 +38,7 @@ def triangulate(
     Ks: Sequence[np.ndarray],
     T_cam_world: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The points that best explain their pixels in all views.
+    """Triangulates points by minimizing the Mahalanobis reprojection error in all views.
 
     Args:
         pixels: (V, N, 2), the same N points in V >= 2 views; NaN where a view does not see a point.
@@ -49,7 +48,7 @@ def triangulate(
 
     Returns:
         Points (N, 3) in the frame of the first camera, meters, and their covariances (N, 3, 3).
-        Both are finite always.
+        Both are always finite.
 
     Raises:
         InputError: if shapes do not match, there are fewer than two views, or a camera is invalid.
@@ -57,29 +56,27 @@ def triangulate(
     pixels = np.asarray(pixels, dtype=np.float64)
     covariances = np.asarray(covariances, dtype=np.float64)
     cameras, T_view_first = check_cameras(pixels, covariances, Ks, T_cam_world)
+    if len(pixels) < 2:
+        raise InputError(f"triangulation needs V >= 2 views, got {len(pixels)}")
     problem = _PointRig(
         pixels=np.nan_to_num(pixels, posinf=0.0, neginf=0.0),
         whiteners=whiteners(pixels, covariances),
         Ks=cameras,
         T_view_first=T_view_first,
     )
-    points = _start(problem)
-    points = _refine(problem, points)
+    points = _refine(problem, _intersect_rays(problem))
     _, information = problem.normal_equations(points)
-    # The second part keeps what rounding would make singular.
-    least = 1 / PRIOR_STD**2 + 1e-13 * np.trace(information, axis1=1, axis2=2)
-    return points, np.linalg.inv(information + least[:, None, None] * np.eye(3))
+    # The second term keeps the matrix regular despite rounding.
+    ridge = 1 / PRIOR_STD**2 + 1e-13 * np.trace(information, axis1=1, axis2=2)
+    return points, np.linalg.inv(information + ridge[:, None, None] * np.eye(3))
 
 
 @dataclass(frozen=True, eq=False)
 class _PointRig(Rig):
-    """Every point on its own: squared Mahalanobis errors, without a Huber weight."""
+    """The squared Mahalanobis errors of each point, without a Huber weight."""
 
     def cost(self, points: np.ndarray) -> np.ndarray:
-        """Squared Mahalanobis error of each point, (N,).
-
-        It is infinite for a point out of the depth range of a camera that sees it.
-        """
+        """Squared Mahalanobis errors (N,); infinite out of the depth range of a seeing camera."""
         seen = self.in_views(points)
         out = ((seen[..., 2] < MIN_DEPTH) | (seen[..., 2] > MAX_DEPTH)) & self.sees
         return np.where(out.any(axis=0), np.inf, (self.residuals(seen) ** 2).sum(axis=(0, 2)))
@@ -92,34 +89,30 @@ class _PointRig(Rig):
         return gradient, np.einsum("vnij,vnik->njk", jacobian, jacobian)
 
 
-def _start(rig: _PointRig) -> np.ndarray:
-    """Least-squares intersection of the rays, (N, 3); parallel rays stop at the nominal depth."""
+def _intersect_rays(rig: _PointRig) -> np.ndarray:
+    """Least-squares intersection of the rays, (N, 3); parallel rays: at the nominal depth."""
     T_first_view = invert(rig.T_view_first)
     homogeneous = np.concatenate([rig.pixels, np.ones_like(rig.pixels[..., :1])], axis=-1)
     rays = homogeneous @ np.linalg.inv(rig.Ks).transpose(0, 2, 1)
     rays = rays @ T_first_view[:, :3, :3].transpose(0, 2, 1)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     centers = T_first_view[:, None, :3, 3]
-    # The distance to a ray is that to its projector's null space. Sharp pixels count for more.
-    sharpness = (rig.whiteners**2).sum(axis=(2, 3))
-    sharpness = sharpness / np.maximum(sharpness.sum(axis=0), 1e-12)
+    # I - r r^T projects onto the plane normal to a ray r. Precise pixels weigh more.
+    precision = (rig.whiteners**2).sum(axis=(2, 3))
+    precision = precision / np.maximum(precision.sum(axis=0), 1e-12)
     projectors = np.eye(3) - rays[..., :, None] * rays[..., None, :]
-    weighted = sharpness[..., None, None] * projectors
+    weighted = precision[..., None, None] * projectors
     anchor = _at_depth(rig, rays, centers, _NOMINAL_DEPTH)
     matrix = weighted.sum(axis=0) + 1e-7 * np.eye(3)
     target = np.einsum("vnij,vnj->ni", weighted, np.broadcast_to(centers, rays.shape))
     points = np.linalg.solve(matrix, (target + 1e-7 * anchor)[..., None])[..., 0]
 
-    # An intersection behind a camera, or far off, is none: take the best depth on one ray.
+    # Replace intersections behind a camera or too far away by the best depth along one ray.
     cost = rig.cost(points)
     lost = ~np.isfinite(cost)
     if lost.any():
-        tries = np.stack(
-            [
-                _at_depth(rig, rays, centers, depth)
-                for depth in np.geomspace(0.1, 0.9 * MAX_DEPTH, 16)
-            ]
-        )
+        depths = np.geomspace(0.1, 0.9 * MAX_DEPTH, 16)
+        tries = np.stack([_at_depth(rig, rays, centers, depth) for depth in depths])
         costs = np.stack([rig.cost(candidate) for candidate in tries])
         best = tries[costs.argmin(axis=0), np.arange(len(points))]
         best = np.where(np.isfinite(costs.min(axis=0))[:, None], best, anchor)
@@ -130,8 +123,7 @@ def _start(rig: _PointRig) -> np.ndarray:
 def _at_depth(rig: _PointRig, rays: np.ndarray, centers: np.ndarray, depth: float) -> np.ndarray:
     """Points (N, 3) at a distance along the ray of the first view that has a usable pixel."""
     first = rig.sees.argmax(axis=0)
-    index = np.arange(rays.shape[1])
-    points = centers[first, 0] + depth * rays[first, index]
+    points = centers[first, 0] + depth * rays[first, np.arange(rays.shape[1])]
     points[:, 2] = np.maximum(points[:, 2], MIN_DEPTH)
     return points
 
@@ -142,7 +134,7 @@ def _refine(rig: _PointRig, points: np.ndarray) -> np.ndarray:
     damping = np.full(len(points), 1e-6)
     for _ in range(_ITERATIONS):
         gradient, information = rig.normal_equations(points)
-        # Scaled by the diagonal, with an absolute part for directions that nothing constrains.
+        # Scaled by the diagonal, with an absolute part for unconstrained directions.
         diagonal = damping[:, None] * np.einsum("nii->ni", information) + 1 / PRIOR_STD**2
         step = -np.linalg.solve(
             information + diagonal[:, :, None] * np.eye(3), gradient[..., None]
@@ -157,27 +149,3 @@ def _refine(rig: _PointRig, points: np.ndarray) -> np.ndarray:
         if better.all() and change < 1e-9:
             break
     return points
-
-
-def check_cameras(
-    pixels: np.ndarray,
-    covariances: np.ndarray,
-    Ks: Sequence[np.ndarray],
-    T_cam_world: Sequence[np.ndarray],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Checks everything; returns K of each view (V, 3, 3) and T_view_first (V, 4, 4)."""
-    if pixels.ndim != 3 or pixels.shape[2] != 2 or len(pixels) < 2:
-        raise InputError(f"pixels must be (V, N, 2) with V >= 2 views, got shape {pixels.shape}")
-    if covariances.shape != (*pixels.shape, 2):
-        raise InputError(
-            f"covariances must be {(*pixels.shape, 2)} to match pixels, got {covariances.shape}"
-        )
-    views = len(pixels)
-    if len(Ks) != views or len(T_cam_world) != views:
-        raise InputError(
-            f"Ks and T_cam_world must have one entry for each of the {views} views, "
-            f"got {len(Ks)} and {len(T_cam_world)}"
-        )
-    cameras = np.stack([check_intrinsics(K, f"Ks[{i}]") for i, K in enumerate(Ks)])
-    poses = np.stack([check_rigid(T, f"T_cam_world[{i}]") for i, T in enumerate(T_cam_world)])
-    return cameras, poses @ invert(poses[0])

@@ -12,9 +12,8 @@ from ...core.errors import InputError
 from ...core.results import commit
 from ..bop.pairs import PAIRS_FILE
 from ..fusion.loading import load
-from ..methods import METHOD_TABLE
+from ..methods import METHOD_TABLE, PARTS
 from ..networks.container import PoseNetworks
-from ..networks.parts import PARTS
 from ..networks.weights import load_networks
 from .config import CompareConfig
 from .cost import measure

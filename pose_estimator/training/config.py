@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 from ...core.errors import InputError
-from ..networks.parts import STAGES
 
 
 @dataclass(frozen=True)
@@ -180,9 +179,9 @@ class TrainEstimatorConfig:
             raise InputError(f"cut_and_paste must be 0 to 1, got {self.cut_and_paste}")
         if self.augmentation not in ("mild", "strong"):
             raise InputError(f"augmentation must be mild or strong, got {self.augmentation!r}")
-        unknown = [stage for stage in self.stages if stage not in STAGES]
+        unknown = [stage for stage in self.stages if stage not in STAGE_DEFAULTS]
         if unknown:
-            raise InputError(f"unknown stages {unknown}; there are {', '.join(STAGES)}")
+            raise InputError(f"unknown stages {unknown}; there are {', '.join(STAGE_DEFAULTS)}")
 
     @property
     def chosen_stages(self) -> tuple[str, ...]:
@@ -194,7 +193,7 @@ class TrainEstimatorConfig:
         """How a stage is trained.
 
         Args:
-            name: one of ``STAGES``.
+            name: one of ``STAGE_DEFAULTS``.
             objects: how many objects are trained.
         """
         settings = STAGE_DEFAULTS[name]

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..networks.parts import PARTS
+from ..methods import PARTS
 from .config import TrainEstimatorConfig
 
 if TYPE_CHECKING:

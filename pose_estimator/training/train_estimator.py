@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...core.errors import InputError
 from ..bop.find_dataset import find_dataset
-from ..networks.parts import STAGES
-from .config import TrainEstimatorConfig
+from .config import STAGE_DEFAULTS, TrainEstimatorConfig
 from .objects import training_objects
 from .record import TrainingLog, header
 
@@ -63,7 +62,9 @@ def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) 
     torch.manual_seed(config.seed)
     networks = start_networks(config).to(device)
     count = len(networks.objects)
-    plan = [f"{n} ({config.stage(n, count).steps} steps)" for n in STAGES if n in config.stages]
+    plan = [
+        f"{n} ({config.stage(n, count).steps} steps)" for n in STAGE_DEFAULTS if n in config.stages
+    ]
     print(f"training {', '.join(networks.objects)}: {', '.join(plan)}")
     together = f", {world_size()} processes" if world_size() > 1 else ""
     number_format = "bfloat16" if uses_bfloat16(device) else "float32"
@@ -75,7 +76,7 @@ def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) 
     config.out.mkdir(parents=True, exist_ok=True)
     log = TrainingLog(config.out / "log.jsonl", resume=config.resume)
     done: dict[str, int] = {}
-    for name in STAGES:
+    for name in STAGE_DEFAULTS:
         step = train_stage(config, name, networks, train, held_out, log, deadline)
         if step is not None:
             done[name] = step
@@ -158,7 +159,7 @@ def start_from(config: TrainEstimatorConfig, networks: PoseNetworks) -> None:
     print(f"weights {config.init}\n{transfer}")
     learnt = {
         stage
-        for stage in STAGES
+        for stage in STAGE_DEFAULTS
         if stage in config.chosen_stages or (config.out / f"{stage}.safetensors").is_file()
     }
     stages_of = {"detector": {"detector"}, "features": {"features", "decoders"}}

@@ -16,10 +16,10 @@ from torch import Tensor
 
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
+from ..methods import PARTS
 from ..networks.container import PoseNetworks
 from ..networks.detector import DetectorConfig
 from ..networks.features import FeatureConfig
-from ..networks.parts import PARTS
 
 _ROWS = ("embedding.weight", "head_weight", "head_bias")
 """Ends of the names of tensors with one row an object."""

@@ -1,4 +1,4 @@
-"""A processor as strict as a GPU: tensors made without their device, or read in place, raise."""
+"""Makes the CPU as strict as a GPU: tensors without their device, or read in place, raise."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class OnHost(Tensor):
         raise RuntimeError(f"{name} of an array's tensor, which was not moved to the device")
 
 
-class NothingElsewhere(TorchFunctionMode):
-    """Raises where a tensor on "meta" is made; not every operation on one does."""
+class NoMetaTensors(TorchFunctionMode):
+    """Raises where a tensor on "meta" is created; not every operation on one does."""
 
     def __torch_function__(
         self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None
@@ -48,8 +48,8 @@ class NothingElsewhere(TorchFunctionMode):
 def strict_host() -> Iterator[None]:
     """Lets ordinary tensors stand for those on a device.
 
-    A tensor that is made without its device is then on another one ("meta"), one that is made of
-    an array must be moved first, and ``numpy()`` wants ``cpu()`` right before it.
+    A tensor created without its device is on "meta", one created from an array must be moved
+    first, and ``numpy()`` requires ``cpu()`` right before it.
     """
     numpy, cpu, from_numpy = Tensor.numpy, Tensor.cpu, torch.from_numpy
 
@@ -64,7 +64,7 @@ def strict_host() -> Iterator[None]:
         return numpy(self)
 
     _forget()
-    with pytest.MonkeyPatch.context() as patch, torch.device("meta"), NothingElsewhere():
+    with pytest.MonkeyPatch.context() as patch, torch.device("meta"), NoMetaTensors():
         patch.setattr(Tensor, "cpu", fetch)
         patch.setattr(Tensor, "numpy", read)
         patch.setattr(torch, "from_numpy", lambda array: from_numpy(array).as_subclass(OnHost))
@@ -75,7 +75,7 @@ def strict_host() -> Iterator[None]:
 
 
 def _forget() -> None:
-    """Empties the package's caches: a tensor that is there already is not made."""
+    """Empties the package's caches, so that cached tensors are created again."""
     for name, module in list(sys.modules.items()):
         if name.startswith("two_view_pose.pose_estimator"):
             for value in list(vars(module).values()):

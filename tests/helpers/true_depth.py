@@ -1,4 +1,4 @@
-"""Stands in for the cascade of ``early``, and gives views of :mod:`votes` what it looks at."""
+"""Stands in for the cascade of ``early``, with the maps and masks that it needs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from two_view_pose.pose_estimator.networks.encoder import PYRAMID_CHANNELS
 
 
 class TrueDepth(nn.Module):
-    """Stands in for the cascade: the depth of the one box that there is, far behind it nothing."""
+    """Stands in for the cascade: the depth of one box in front of a far background."""
 
     def __init__(self, model: ObjectModel, T_ref_obj: np.ndarray):
         super().__init__()

@@ -1,4 +1,4 @@
-"""Stands in for the 2D part: perfect, symmetric and senseless votes of a known scene."""
+"""Stands in for the 2D networks: perfect, symmetric and random votes of a known scene."""
 
 import numpy as np
 import torch
@@ -35,9 +35,9 @@ def view(degrees: float) -> View:
 
 
 class PerfectVotes:
-    """Answers from the truth, and remembers where it was told to look.
+    """Votes from the ground truth; records the given ROIs.
 
-    ``twist`` maps a call's number to the symmetry that it votes for.
+    ``twist`` has the index of the symmetry that each call votes for.
     """
 
     def __init__(self, networks: PoseNetworks, twist: tuple[int, ...] = (), noise: float = 0.0):

@@ -1,4 +1,4 @@
-"""The cascade: its ranges, its precision, and that a cost volume knows the true depth."""
+"""The cascade: depth ranges, precision, and the cost volume at the true depth."""
 
 import itertools
 
@@ -20,7 +20,7 @@ GUESS, DIAMETER = 0.9137, 0.12
 
 
 def views(batch: int = 1, count: int = 2, seed: int = 0, crop: int = 64) -> CascadeViews:
-    """Random maps of crops that look at one spot from beside each other."""
+    """Random maps of crops of cameras around one point."""
     generator = torch.Generator().manual_seed(seed)
     maps = tuple(
         torch.rand(batch, count, channels, crop // stride, crop // stride, generator=generator)
@@ -49,8 +49,8 @@ def net() -> CascadeNet:
 
 
 @pytest.fixture(scope="module")
-def undecided() -> CascadeNet:
-    """A cascade that likes all depths alike."""
+def uniform() -> CascadeNet:
+    """A cascade with uniform distributions over the depths."""
     torch.manual_seed(0)
     net = CascadeNet().eval()
     for cost_net in net.costs:
@@ -58,7 +58,7 @@ def undecided() -> CascadeNet:
     return net
 
 
-def test_ranges_narrow_down_to_the_papers_spacing(net: CascadeNet):
+def test_depth_ranges_narrow_to_the_papers_spacing(net: CascadeNet):
     with torch.no_grad():
         outputs = run(net, views(2))
     strides = [output.stride for output in outputs]
@@ -80,23 +80,23 @@ def test_ranges_narrow_down_to_the_papers_spacing(net: CascadeNet):
 
 
 @pytest.mark.parametrize(("diameter", "half"), [(0.1, 0.15), (0.28, 0.28)])
-def test_the_first_range_holds_the_object(net: CascadeNet, diameter, half):
+def test_first_range_contains_the_object(net: CascadeNet, diameter, half):
     with torch.no_grad():
         assert float(run(net, views(), diameter)[0].half_range[0]) == pytest.approx(half)
 
 
-def test_bfloat16_does_not_touch_the_geometry(undecided: CascadeNet):
+def test_geometry_stays_float32_under_autocast(uniform: CascadeNet):
     # In bfloat16, 0.9137 would be 0.914 and 3.5 mm nothing.
     with torch.no_grad(), torch.autocast("cpu", torch.bfloat16):
-        outputs = run(undecided, views())
-    for output, level in zip(outputs, undecided.config.levels, strict=True):
+        outputs = run(uniform, views())
+    for output, level in zip(outputs, uniform.config.levels, strict=True):
         assert output.depth.dtype == torch.float32
         assert torch.allclose(output.depth, torch.tensor(GUESS), atol=1e-6)
         steps = np.linspace(-1, 1, level.planes) * float(output.half_range[0])
         assert torch.allclose(output.variance, torch.tensor(steps.var()).float(), rtol=1e-3)
 
 
-def test_a_third_view_and_one_that_sees_nothing(net: CascadeNet):
+def test_third_view_and_view_without_overlap(net: CascadeNet):
     given = views(count=3)
     away = given.T_view_ref.clone()
     away[:, 2] = torch.from_numpy(make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 0.2])))
@@ -115,7 +115,7 @@ def test_a_third_view_and_one_that_sees_nothing(net: CascadeNet):
     assert not torch.equal(two, three)
 
 
-def test_every_parameter_learns(net: CascadeNet):
+def test_every_parameter_has_a_gradient(net: CascadeNet):
     torch.manual_seed(1)
     trained = CascadeNet().train()
     sum(output.depth.square().sum() for output in run(trained, views(2))).backward()
@@ -123,8 +123,8 @@ def test_every_parameter_learns(net: CascadeNet):
         assert parameter.grad is not None and parameter.grad.abs().sum() > 0, name
 
 
-def test_the_cost_volume_is_best_at_the_true_depth():
-    # A picture on a slanted plane, seen in both views: OpenCV draws the second from the first.
+def test_cost_volume_peaks_at_the_true_depth():
+    # A textured slanted plane in both views: OpenCV warps the first into the second.
     rng = np.random.default_rng(0)
     stride, side = 2, 48
     K = np.array([[300.0, 0, 47.5], [0, 300, 47.5], [0, 0, 1]])
@@ -145,17 +145,17 @@ def test_the_cost_volume_is_best_at_the_true_depth():
     rays = np.stack([columns, rows, np.ones((side, side))], -1) @ np.linalg.inv(K_grid).T
     depth = d / (rays @ n)
     offsets = np.arange(-10, 11) * 0.008
-    supposed = torch.from_numpy(depth + offsets[:, None, None]).float()[None]
+    depths = torch.from_numpy(depth + offsets[:, None, None]).float()[None]
     cost = build_cost_volume(
         maps,
         torch.from_numpy(np.stack([K_grid, K_grid])).float()[None],
         torch.from_numpy(np.stack([np.eye(4), T])).float()[None],
-        supposed,
+        depths,
         groups=4,
     )
     assert cost.shape == (1, 5, 21, side, side)
     middle = cost[0, :, :, 12:-12, 12:-12]
     assert (middle[4] == 1).all()
-    # One pixel alone may be mistaken for another; a few together are not.
+    # Averages windows, since single pixels are ambiguous.
     best = F.avg_pool2d(middle[:4].mean(0), 5, 1).argmax(0)
     assert float(((best - 10).abs() <= 1).float().mean()) > 0.97

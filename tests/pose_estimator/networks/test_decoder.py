@@ -1,4 +1,4 @@
-"""Own decoders: copies of the shared one at first, each trained by its object alone."""
+"""Decoders of objects: initialized from the shared one, each trained by its object alone."""
 
 import pytest
 import torch
@@ -20,29 +20,29 @@ def crops(count: int) -> torch.Tensor:
 
 
 @torch.no_grad()
-def test_a_split_changes_no_answer(net):
-    pictures, objects = crops(5), torch.tensor([2, 0, 1, 0, 2])
-    before = net(pictures, objects)
+def test_splitting_and_sharing_keep_the_outputs(net):
+    images, objects = crops(5), torch.tensor([2, 0, 1, 0, 2])
+    before = net(images, objects)
     net.split_decoders()
     assert net.config.own_decoders and len(net.decoders) == 3
-    for old, new in zip(before, net(pictures, objects), strict=True):
+    for old, new in zip(before, net(images, objects), strict=True):
         torch.testing.assert_close(new, old, atol=1e-4, rtol=1e-4)
     net.share_decoders()
     assert not net.config.own_decoders and len(net.decoders) == 1
-    for old, new in zip(before, net(pictures, objects), strict=True):
+    for old, new in zip(before, net(images, objects), strict=True):
         torch.testing.assert_close(new, old, atol=1e-4, rtol=1e-4)
 
 
 @torch.no_grad()
-def test_a_mixed_batch_is_answered_as_each_crop_alone(net):
+def test_mixed_batch_equals_single_crops(net):
     net.split_decoders()
     for decoder in net.decoders:
         for parameter in decoder.parameters():
             parameter += 0.05 * torch.randn_like(parameter)
-    pictures, objects = crops(5), torch.tensor([2, 0, 1, 0, 2])
-    together = net(pictures, objects)
+    images, objects = crops(5), torch.tensor([2, 0, 1, 0, 2])
+    together = net(images, objects)
     for row in range(5):
-        alone = net(pictures[row : row + 1], objects[row : row + 1])
+        alone = net(images[row : row + 1], objects[row : row + 1])
         for mixed, own in zip(together, alone, strict=True):
             torch.testing.assert_close(mixed[row : row + 1], own, atol=1e-3, rtol=1e-3)
     assert not torch.allclose(together.decoder[1], together.decoder[3])
@@ -56,7 +56,7 @@ def stage(pack, boxes) -> DecoderStage:
     return DecoderStage(networks, training, training, steps=8, batch=3, learning_rate=1.0, seed=0)
 
 
-def test_a_batch_trains_the_decoder_of_its_object_alone(stage):
+def test_batch_trains_only_its_objects_decoder(stage):
     batches = list(stage.batches(0))
     asked = [set(batch["object"].tolist()) for batch in batches]
     assert all(len(objects) == 1 for objects in asked) and len(set.union(*asked)) == 2
@@ -71,7 +71,7 @@ def test_a_batch_trains_the_decoder_of_its_object_alone(stage):
     assert not features.head_weight.grad[1 - number].any()
 
 
-def test_the_encoder_learns_with_the_decoders_where_it_is_asked_to(stage):
+def test_tune_encoder_trains_unfrozen_stages(stage):
     networks = PoseNetworks(dict(zip(("brick", "crate"), stage.train.models, strict=True)))
     networks.features.encoder.freeze(2)
     tuned = DecoderStage(
@@ -85,12 +85,12 @@ def test_the_encoder_learns_with_the_decoders_where_it_is_asked_to(stage):
     assert encoder.stages[0][0].project.weight.grad is None  # frozen stages stay so
 
 
-def test_batches_are_the_same_after_a_resume(stage):
+def test_resumed_batches_are_identical(stage):
     third, resumed = list(stage.batches(0))[2], next(stage.batches(2))
     assert all(torch.equal(third[name], resumed[name]) for name in third)
 
 
-def test_weights_with_own_decoders_load(stage, tmp_path):
+def test_weights_with_own_decoders_round_trip(stage, tmp_path):
     with torch.no_grad():
         stage.networks.features.decoders[1].trunk[0].weight.fill_(0.25)
     save_weights(stage.networks, tmp_path / "own.safetensors", {})
@@ -100,7 +100,7 @@ def test_weights_with_own_decoders_load(stage, tmp_path):
     assert read.features.decoders[0].trunk[0].weight.std() > 1e-3
 
 
-def test_training_all_objects_together_shares_the_decoder_again(stage):
+def test_feature_stage_shares_the_decoder(stage):
     networks = stage.networks
     FeatureStage(networks, stage.train, stage.train, steps=1, batch=1, learning_rate=1.0, seed=0)
     assert not networks.config.features.own_decoders

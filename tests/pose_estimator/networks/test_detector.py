@@ -1,4 +1,4 @@
-"""The detector's targets and its answers are two readings of one convention."""
+"""The detector: targets, decoding and letterboxing agree."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def logits_of(heat: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("center", [(160.3, 120.9), (3.5, 3.5), (316.0, 236.2), (41.0, 77.7)])
 @pytest.mark.parametrize("side", [12.0, 60.0, 220.0])
-def test_targets_decode_to_what_they_were_made_of(center, side):
+def test_targets_round_trip_through_decode(center, side):
     heat, regression, weight = targets(center, side=side)
     roi = decode(logits_of(heat[0]), regression[0], np.eye(3), CONFIG)
     assert np.allclose(roi.center, center, atol=1e-4)
@@ -36,7 +36,7 @@ def test_targets_decode_to_what_they_were_made_of(center, side):
     assert heat[0].max() == 1.0 and weight[0].sum() >= 1
 
 
-def test_every_cell_that_is_trained_points_at_the_center():
+def test_every_weighted_cell_points_at_the_center():
     _, regression, weight = targets((160.3, 120.9), side=120.0)
     assert weight[0].sum() > 4
     for row, column in np.argwhere(weight[0]):
@@ -46,7 +46,7 @@ def test_every_cell_that_is_trained_points_at_the_center():
         assert np.allclose(roi.center, (160.3, 120.9), atol=1e-3)
 
 
-def test_an_absent_object_and_a_center_far_outside_have_no_peak():
+def test_absent_or_outside_objects_have_no_peak():
     heat, _, weight = detection_targets(
         np.array([(100.0, 100.0), (-200.0, 100.0)]), np.full(2, 60.0),
         np.array([False, True]), CONFIG,
@@ -56,7 +56,7 @@ def test_an_absent_object_and_a_center_far_outside_have_no_peak():
 
 
 @pytest.mark.parametrize("size", [(480, 640), (720, 1280), (1024, 768), (240, 320), (100, 150)])
-def test_letterboxing_maps_back_to_the_full_frame(size):
+def test_letterbox_round_trip(size):
     height, width = size
     position = np.array([0.72 * width, 0.31 * height])
     columns, rows = np.meshgrid(np.arange(width), np.arange(height))
@@ -79,7 +79,7 @@ def test_letterboxing_maps_back_to_the_full_frame(size):
     assert roi.side == pytest.approx(60 * to_image[0, 0], rel=1e-5)
 
 
-def test_linemods_frames_are_halved_exactly():
+def test_linemod_frames_are_halved_exactly():
     image = np.random.default_rng(0).integers(0, 256, (480, 640, 3), dtype=np.uint8)
     small, to_image = detector_input(image, CONFIG)
     assert np.allclose(to_image @ [10, 20, 1], [20.5, 40.5, 1])
@@ -87,12 +87,12 @@ def test_linemods_frames_are_halved_exactly():
     assert np.abs(small - blocks).max() <= 0.51
 
 
-def test_a_long_strip_is_still_a_picture():
+def test_extreme_aspect_ratio():
     small, to_image = detector_input(np.zeros((3, 5000, 3), np.uint8), CONFIG)
     assert small.shape == (240, 320, 3) and np.isfinite(to_image).all()
 
 
-def test_all_peaks_are_read_the_best_first():
+def test_decode_peaks_sorts_by_score():
     left, right = (60.0, 120.0), (260.0, 120.0)
     heat, regression, _ = targets(left, right)
     use_left = heat[0] > heat[1]
@@ -109,19 +109,19 @@ def test_all_peaks_are_read_the_best_first():
     assert np.array_equal(alone.center, found[0].center) and alone.side == found[0].side
     faint = np.maximum(logits_of(0.002 * heat[0]), logits_of(0.9 * heat[1]))
     assert len(decode_peaks(faint, both, to_image, CONFIG)) == 1
-    # Where nothing is hot the best of it is still an answer.
+    # The best cell is always returned.
     nothing = decode_peaks(np.full_like(logits, -9.0), both, to_image, CONFIG)
     assert len(nothing) == 1
 
 
-def test_the_networks_maps_fit_the_targets(networks: PoseNetworks):
+def test_output_shapes_match_the_targets(networks: PoseNetworks):
     with torch.no_grad():
         logits, regression = networks.detector(torch.zeros(1, 3, 240, 320))
     heat, target, _ = targets((60.0, 120.0), (80.0, 90.0))
     assert logits.shape[1:] == heat.shape and regression.shape[1:] == target.shape
 
 
-def test_the_losses_are_least_at_the_targets():
+def test_losses_are_minimal_at_the_targets():
     heat, regression, weight = (torch.from_numpy(t)[None] for t in targets((160.3, 120.9)))
     right = torch.where(heat >= 1, 9.0, -9.0)
     shifted = torch.roll(right, 3, -1)

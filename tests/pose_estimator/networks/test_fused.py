@@ -16,8 +16,8 @@ needs_bfloat16 = pytest.mark.skipif(
 )
 
 
-def shaken(module: nn.Module, seed: int = 0) -> nn.Module:
-    """The module in evaluation mode, with statistics of batch norm as after a training."""
+def randomized(module: nn.Module, seed: int = 0) -> nn.Module:
+    """The module in evaluation mode, with random batch norm statistics."""
     generator = torch.Generator().manual_seed(seed)
     for layer in module.modules():
         if isinstance(layer, nn.BatchNorm2d | nn.BatchNorm3d):
@@ -30,7 +30,7 @@ def shaken(module: nn.Module, seed: int = 0) -> nn.Module:
 
 @pytest.mark.parametrize("kernel", [3, 5])
 @pytest.mark.parametrize("side", [16, 20])
-def test_a_row_of_zeros_pads_as_tensorflow_does(kernel, side):
+def test_fused_same_padding_matches_tensorflow(kernel, side):
     conv = SameConv(4, 4, kernel, 2, groups=4)
     x = torch.randn(2, 4, side, side)
     with torch.no_grad():
@@ -55,8 +55,8 @@ def test_a_row_of_zeros_pads_as_tensorflow_does(kernel, side):
     ids=lambda value: type(value).__name__ if isinstance(value, nn.Module) else "",
 )
 @torch.no_grad()
-def test_a_fused_network_answers_the_same(network, inputs):
-    network = shaken(network)
+def test_fused_network_matches_the_original(network, inputs):
+    network = randomized(network)
     quick = fused(network, torch.float32)
     assert any(isinstance(layer, FusedConv) for layer in quick.modules())
     assert not any(isinstance(layer, nn.BatchNorm2d | nn.BatchNorm3d) for layer in quick.modules())
@@ -71,8 +71,8 @@ def test_a_fused_network_answers_the_same(network, inputs):
 
 @needs_bfloat16
 @torch.no_grad()
-def test_half_as_exact_in_half_the_bits():
-    network = shaken(ConvBlock(8, 16))
+def test_bfloat16_is_close():
+    network = randomized(ConvBlock(8, 16))
     x = torch.randn(2, 8, 9, 9)
     answer = fused(network, torch.bfloat16)(x)
     assert answer.dtype == torch.bfloat16
@@ -85,25 +85,25 @@ def test_half_as_exact_in_half_the_bits():
     "dtype", [pytest.param(torch.bfloat16, marks=needs_bfloat16), torch.float32]
 )
 @torch.inference_mode()
-def test_what_was_seen_before_changes_no_answer(dtype):
-    """The first call decides how weights are laid out; batches and sizes may change after it."""
-    network = shaken(Encoder(6))
-    pictures = [torch.rand(batch, 3, side, side) for batch, side in ((1, 64), (3, 64), (2, 96))]
-    alone = [fused(network, dtype)(255 * picture) for picture in pictures]
+def test_cached_layouts_do_not_change_outputs(dtype):
+    """The first call fixes the layout; batches and sizes may change after it."""
+    network = randomized(Encoder(6))
+    images = [torch.rand(batch, 3, side, side) for batch, side in ((1, 64), (3, 64), (2, 96))]
+    alone = [fused(network, dtype)(255 * image) for image in images]
     quick = fused(network, dtype)
-    for picture, first in zip([*pictures, *pictures], [*alone, *alone], strict=True):
-        assert all(map(torch.equal, quick(255 * picture), first))
+    for image, first in zip([*images, *images], [*alone, *alone], strict=True):
+        assert all(map(torch.equal, quick(255 * image), first))
 
 
-def test_the_network_itself_is_left_alone():
-    network = shaken(Encoder(2))
+def test_original_network_is_unchanged():
+    network = randomized(Encoder(2))
     before = [type(layer) for layer in network.modules()]
     fused(network, torch.bfloat16)
     assert [type(layer) for layer in network.modules()] == before
     assert all(p.dtype == torch.float32 for p in network.parameters())
 
 
-def test_float32_can_always_be_fused_and_asking_draws_no_random_number():
+def test_can_fuse_in_float32_without_random_numbers():
     torch.manual_seed(0)
     expected = torch.rand(1)
     torch.manual_seed(0)
@@ -112,5 +112,5 @@ def test_float32_can_always_be_fused_and_asking_draws_no_random_number():
     assert torch.equal(torch.rand(1), expected)
 
 
-def test_networks_compute_in_a_format_that_can_be_fused():
+def test_bfloat16_is_used_only_if_it_can_be_fused():
     assert not has_fast_bfloat16() or can_fuse_in(torch.bfloat16)

@@ -1,4 +1,4 @@
-"""What ``load`` makes of its arguments."""
+"""The arguments of ``load``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory, networks: PoseNetworks) -> P
 
 @pytest.mark.parametrize("method", ["single", "late", "mid"])
 @pytest.mark.parametrize("solver", ["soft", "kabsch", "hard"])
-def test_estimators_have_the_solver_that_is_asked_for(saved, method, solver):
+def test_load_sets_the_solver(saved, method, solver):
     estimator = pose_estimator.load(method, saved, preset="fast", solver=solver)
     assert estimator.solver == solver
     assert type(estimator).__name__.lower().startswith(method)
@@ -43,12 +43,12 @@ def test_another_preset_names_the_training_command(saved):
         ({"threads": -1}, "threads must be at least 0, got -1"),
     ],
 )
-def test_unknown_names_are_refused(saved, wrong, message):
+def test_invalid_arguments_raise(saved, wrong, message):
     with pytest.raises(ValueError, match=message):
         pose_estimator.load(**({"weights": saved} | wrong))
 
 
-def test_networks_are_read_once_for_each_device(saved, monkeypatch):
+def test_networks_are_cached_for_each_device(saved, monkeypatch):
     here = pose_estimator.load("single", saved, device="cpu").networks
     monkeypatch.setattr(device_module, "resolve_device", lambda device: torch.device(device))
     there = pose_estimator.load("single", saved, device="meta").networks
@@ -57,7 +57,7 @@ def test_networks_are_read_once_for_each_device(saved, monkeypatch):
     assert there is load_networks(saved, torch.device("meta")) and here is load_networks(saved)
 
 
-def test_threads_are_handed_over(saved, monkeypatch):
+def test_threads_are_passed_on(saved, monkeypatch):
     monkeypatch.setattr(
         single_view, "SingleViewEstimator", lambda networks, solver, threads: (solver, threads)
     )

@@ -28,17 +28,17 @@ def here(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def requests(count: int) -> list[tuple[list[View], str]]:
-    """Noise in pairs of views, with depth where the object would be."""
+    """Pairs of noise images, with depth at the object."""
     rng = np.random.default_rng(0)
-    asked = []
+    pairs = []
     for number in range(count):
         views = []
         for degrees in (20, 55):
             image = rng.integers(0, 256, (480, 640, 3), dtype=np.uint8)
             depth = rng.uniform(0.85, 0.95, (480, 640)).astype(np.float32)
             views.append(View(image, LINEMOD_K, camera(degrees), depth))
-        asked.append((views, ("brick", "crate")[number % 2]))
-    return asked
+        pairs.append((views, ("brick", "crate")[number % 2]))
+    return pairs
 
 
 def regions(networks: PoseNetworks, asked: list[tuple[list[View], str]]) -> list[list[Roi]]:
@@ -52,7 +52,7 @@ def regions(networks: PoseNetworks, asked: list[tuple[list[View], str]]) -> list
 
 
 def visible(networks: PoseNetworks) -> PoseNetworks:
-    """The networks, sure to see an object everywhere: so that the depth has points on it."""
+    """The networks with masks of ones, so that depth maps have points on the object."""
     networks = copy.deepcopy(networks)
     with torch.no_grad():
         networks.features.head_bias[:, 0] = 10.0
@@ -60,11 +60,11 @@ def visible(networks: PoseNetworks) -> PoseNetworks:
 
 
 @pytest.mark.parametrize("method", METHOD_TABLE)
-@pytest.mark.parametrize("told", [False, True])
-def test_every_tensor_is_made_on_the_device(networks, here, method, told):
+@pytest.mark.parametrize("given", [False, True])
+def test_every_tensor_is_created_on_the_device(networks, here, method, given):
     networks = visible(networks)
     asked = requests(2)
-    rois = regions(networks, asked) if told else None
+    rois = regions(networks, asked) if given else None
     expected = METHOD_TABLE[method].estimator_class()(networks).estimate_batch(asked, rois)
     with strict_host():
         found = METHOD_TABLE[method].estimator_class()(networks).estimate_batch(requests(2), rois)
@@ -76,7 +76,7 @@ def test_every_tensor_is_made_on_the_device(networks, here, method, told):
 @pytest.mark.cuda
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA GPU")
 @pytest.mark.parametrize("method", METHOD_TABLE)
-def test_a_gpu_answers(networks, method):
+def test_estimates_on_cuda(networks, method):
     networks = visible(networks)
     asked = requests(3)
     rois = regions(networks, asked)

@@ -1,4 +1,4 @@
-"""The sampled points are those of the depth map, in a frame that turns with the crop."""
+"""Sampled points lie on the depth map, in a frame that rotates with the crop."""
 
 import numpy as np
 import pytest
@@ -14,15 +14,15 @@ T_CAM_OBJ = make_transform(
 )
 
 
-def turned_crop(radians: float, scale: float = 1.3) -> np.ndarray:
-    """Camera of a crop around the object, turned in the picture."""
+def rotated_crop(radians: float, scale: float = 1.3) -> np.ndarray:
+    """Camera of a crop around the object, rotated in the image."""
     center = project(T_CAM_OBJ[:3, 3], LINEMOD_K) + np.array([3, -5])
     A = crop_matrix(center, SIDE / scale, SIDE)
-    turn = np.eye(3)
-    turn[:2, :2] = Rotation.from_euler("z", radians).as_matrix()[:2, :2]
+    rotation = np.eye(3)
+    rotation[:2, :2] = Rotation.from_euler("z", radians).as_matrix()[:2, :2]
     middle = np.array([(SIDE - 1) / 2] * 2)
-    turn[:2, 2] = middle - turn[:2, :2] @ middle
-    return turn @ A @ LINEMOD_K
+    rotation[:2, 2] = middle - rotation[:2, :2] @ middle
+    return rotation @ A @ LINEMOD_K
 
 
 def sample(depth, mask, K, diameter=0.15, count=200, seed=0):
@@ -37,8 +37,8 @@ def sample(depth, mask, K, diameter=0.15, count=200, seed=0):
 
 
 @pytest.mark.parametrize("radians", [0.0, 0.6])
-def test_points_lie_on_the_object_where_their_pixels_are(boxes, radians):
-    K, brick = turned_crop(radians), boxes["brick"]
+def test_points_lie_on_the_object_at_their_pixels(boxes, radians):
+    K, brick = rotated_crop(radians), boxes["brick"]
     depth = box_depth(brick, T_CAM_OBJ, K, (SIDE, SIDE))
     cloud = sample(depth, np.ones((32, 32)), K)
     assert cloud.valid.all()
@@ -53,11 +53,11 @@ def test_points_lie_on_the_object_where_their_pixels_are(boxes, radians):
     np.testing.assert_allclose(cloud.center[0], np.median(cloud.xyz[0], 0), atol=1e-3)
 
 
-def test_the_frame_looks_along_the_crop_and_turns_with_it():
-    straight, turned = (
-        crop_frame(torch.from_numpy(turned_crop(a))[None], SIDE)[0].numpy() for a in (0.0, 0.5)
+def test_crop_frame_follows_the_crops_center_and_rotation():
+    straight, rotated = (
+        crop_frame(torch.from_numpy(rotated_crop(a))[None], SIDE)[0].numpy() for a in (0.0, 0.5)
     )
-    for R, K in ((straight, turned_crop(0.0)), (turned, turned_crop(0.5))):
+    for R, K in ((straight, rotated_crop(0.0)), (rotated, rotated_crop(0.5))):
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
         assert np.linalg.det(R) == pytest.approx(1)
         backward = np.linalg.inv(K)
@@ -65,39 +65,39 @@ def test_the_frame_looks_along_the_crop_and_turns_with_it():
         np.testing.assert_allclose(middle[:2], 0, atol=1e-9)
         right = R @ backward @ [SIDE, (SIDE - 1) / 2, 1]
         assert right[0] > 0 and right[1] == pytest.approx(0, abs=1e-4)
-    turn = Rotation.from_matrix(turned @ straight.T).as_rotvec()
-    np.testing.assert_allclose(turn, [0, 0, 0.5], atol=5e-3)
+    rotation = Rotation.from_matrix(rotated @ straight.T).as_rotvec()
+    np.testing.assert_allclose(rotation, [0, 0, 0.5], atol=5e-3)
 
 
-def test_only_known_depth_on_the_mask_is_drawn():
+def test_samples_have_depth_and_lie_in_the_mask():
     depth = np.full((SIDE, SIDE), 1.0)
     depth[:, 64:] = 0
     mask = np.zeros((32, 32))
     mask[8:24] = 1
-    cloud = sample(depth, mask, turned_crop(0.0), diameter=1.0)
+    cloud = sample(depth, mask, rotated_crop(0.0), diameter=1.0)
     columns, rows = (4 * cloud.pixels[0].numpy() + 1.5).T
     assert cloud.valid.all()
     assert columns.max() < 64 and rows.min() >= 31 and rows.max() <= 97
     assert len(set(zip(columns.round(), rows.round(), strict=True))) == 200  # none twice
-    again, other = (sample(depth, mask, turned_crop(0.0), 1.0, seed=s) for s in (0, 1))
+    again, other = (sample(depth, mask, rotated_crop(0.0), 1.0, seed=s) for s in (0, 1))
     assert torch.equal(again.xyz, cloud.xyz) and not torch.equal(other.xyz, cloud.xyz)
 
 
-def test_what_is_too_far_from_the_rest_is_left_out():
+def test_distant_points_are_rejected():
     depth = np.full((SIDE, SIDE), 1.0)
     depth[:40] = 1.4  # a wall behind, within the mask
-    cloud = sample(depth, np.ones((32, 32)), turned_crop(0.0), diameter=0.2, count=400)
+    cloud = sample(depth, np.ones((32, 32)), rotated_crop(0.0), diameter=0.2, count=400)
     share = cloud.valid.float().mean().item()
     assert share == pytest.approx(88 / 128, abs=0.08)
     kept = cloud.xyz[0][cloud.valid[0]]
     assert (kept @ cloud.R_crop_cam[0])[:, 2].max() < 1.01
 
 
-def test_few_pixels_fill_what_they_can_and_none_give_finite_numbers():
+def test_few_or_no_pixels():
     depth = np.zeros((SIDE, SIDE))
     depth[60, 50:57] = 1.0
-    cloud = sample(depth, np.ones((32, 32)), turned_crop(0.0), count=64)
+    cloud = sample(depth, np.ones((32, 32)), rotated_crop(0.0), count=64)
     assert cloud.valid.sum() == 7
-    cloud = sample(np.zeros((SIDE, SIDE)), np.ones((32, 32)), turned_crop(0.0), count=64)
+    cloud = sample(np.zeros((SIDE, SIDE)), np.ones((32, 32)), rotated_crop(0.0), count=64)
     assert not cloud.valid.any()
     assert all(torch.isfinite(part.float()).all() for part in cloud)

@@ -1,4 +1,4 @@
-"""Votes in space: what the robust_mean keeps, and what the network may and may not depend on."""
+"""Votes of points: the robust mean, and invariances of the network."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def truth_and_votes(spread: float, seed: int = 0):
     return truth, truth[:, None] + rng.normal(0, spread, (2, POINTS, 9, 3))
 
 
-def agree(votes, log_error=None, valid=None):
+def averaged(votes, log_error=None, valid=None):
     votes = torch.from_numpy(votes)
     log_error = torch.zeros(votes.shape[:3]) if log_error is None else log_error
     valid = torch.ones(votes.shape[:2], dtype=torch.bool) if valid is None else valid
@@ -30,41 +30,41 @@ def agree(votes, log_error=None, valid=None):
     return mean.numpy(), covariance.numpy()
 
 
-def test_votes_that_agree_are_averaged():
+def test_consistent_votes_are_averaged():
     _, votes = truth_and_votes(spread=1e-4)
-    mean, covariance = agree(votes)
+    mean, covariance = averaged(votes)
     np.testing.assert_allclose(mean, votes.mean(1), atol=1e-6)
     for b, k in ((0, 0), (1, 8)):
         expected = np.cov(votes[b, :, k].T, bias=True)
         np.testing.assert_allclose(covariance[b, k], expected, rtol=1e-3, atol=1e-12)
 
 
-def test_votes_weigh_the_inverse_square_of_their_errors():
+def test_votes_are_weighted_by_inverse_squared_errors():
     _, votes = truth_and_votes(spread=1e-4)
     log_error = torch.zeros(2, POINTS, 9)
     log_error[:, ::2] = float(np.log(0.1))
-    mean, _ = agree(votes, log_error)
+    mean, _ = averaged(votes, log_error)
     weights = np.where(np.arange(POINTS) % 2 == 0, 100.0, 1.0)
     np.testing.assert_allclose(mean, np.average(votes, axis=1, weights=weights), atol=1e-6)
 
 
-def test_gross_outliers_lose_their_say():
+def test_gross_outliers_are_down_weighted():
     truth, votes = truth_and_votes(spread=1e-3)
     votes[:, :12] += 0.15  # three tenths of the votes mean something else
-    mean, _ = agree(votes)
+    mean, _ = averaged(votes)
     assert np.linalg.norm(votes.mean(1) - truth, axis=-1).min() > 0.05
     assert np.linalg.norm(mean - truth, axis=-1).max() < 0.02
 
 
-def test_points_that_are_not_valid_do_not_vote():
+def test_invalid_points_do_not_vote():
     _, votes = truth_and_votes(spread=1e-4)
     valid = torch.ones(2, POINTS, dtype=torch.bool)
     valid[0, 10:] = False
     votes[0, 10:] = 7.0
-    mean, _ = agree(votes, valid=valid)
+    mean, _ = averaged(votes, valid=valid)
     np.testing.assert_allclose(mean[0], votes[0, :10].mean(0), atol=1e-6)
     valid[0] = False
-    assert all(np.isfinite(part).all() for part in agree(votes, valid=valid))
+    assert all(np.isfinite(part).all() for part in averaged(votes, valid=valid))
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def net() -> PointVotingNet:
 
 
 def inputs(seed: int = 0) -> tuple[PointMaps, PointCloud, torch.Tensor]:
-    """Two made-up clouds a meter away, the second crop with a turned camera."""
+    """Two made-up clouds a meter away, the second crop with a rotated camera."""
     generator = torch.Generator().manual_seed(seed)
 
     def randn(*shape: int) -> torch.Tensor:
@@ -99,7 +99,7 @@ def inputs(seed: int = 0) -> tuple[PointMaps, PointCloud, torch.Tensor]:
     return maps, cloud, torch.tensor([2, 0])
 
 
-def test_the_order_of_the_points_does_not_matter(net):
+def test_permutation_invariance(net):
     maps, cloud, objects = inputs()
     order = torch.randperm(POINTS, generator=torch.Generator().manual_seed(1))
     other = cloud._replace(xyz=cloud.xyz[:, order], pixels=cloud.pixels[:, order])
@@ -109,7 +109,7 @@ def test_the_order_of_the_points_does_not_matter(net):
     assert first.keypoints.shape == (2, 9, 3) and first.covariance.shape == (2, 9, 3, 3)
 
 
-def test_what_fills_a_row_does_not_matter(net):
+def test_padding_has_no_effect(net):
     maps, cloud, objects = inputs()
     valid = cloud.valid.clone()
     valid[:, 25:] = False
@@ -121,14 +121,14 @@ def test_what_fills_a_row_does_not_matter(net):
     assert torch.allclose(first.keypoints, second.keypoints, atol=1e-6)
 
 
-def test_each_object_has_its_own_answer(net):
+def test_outputs_depend_on_the_object(net):
     maps, cloud, _ = inputs()
     first, second = (net(maps, cloud, torch.tensor(o), DIAMETER) for o in ([0, 0], [1, 0]))
     assert not torch.allclose(first.keypoints[0], second.keypoints[0], atol=1e-3)
     assert torch.allclose(first.keypoints[1], second.keypoints[1])
 
 
-def test_keypoints_move_with_the_cloud_and_turn_back_to_the_camera(net):
+def test_translation_equivariance_in_the_crop_frame(net):
     # A cloud that moves as a whole, with its pixels and votes, moves its keypoints by as much. With
     # no votes to look at, the network sees only the shape and the features.
     maps, cloud, objects = inputs()

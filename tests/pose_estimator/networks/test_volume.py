@@ -1,4 +1,4 @@
-"""The volume: projections are OpenCV's, votes of two views meet, gradients reach the features."""
+"""The volume: projections match OpenCV's, votes are triangulated, gradients reach the features."""
 
 import cv2
 import numpy as np
@@ -28,8 +28,8 @@ def second_camera() -> np.ndarray:
 
 
 def opencv_pixels(points: np.ndarray, T_cam_ref: np.ndarray) -> np.ndarray:
-    turn, _ = cv2.Rodrigues(T_cam_ref[:3, :3])
-    pixels, _ = cv2.projectPoints(points.reshape(-1, 1, 3), turn, T_cam_ref[:3, 3], K_GRID, None)
+    rvec, _ = cv2.Rodrigues(T_cam_ref[:3, :3])
+    pixels, _ = cv2.projectPoints(points.reshape(-1, 1, 3), rvec, T_cam_ref[:3, 3], K_GRID, None)
     return pixels[:, 0]
 
 
@@ -58,14 +58,14 @@ def cube(half: float, count: int) -> torch.Tensor:
     return voxel_centers(torch.from_numpy(CENTER).float()[None], torch.tensor([half]), count)
 
 
-def test_voxels_fill_the_cube_evenly():
+def test_voxel_centers_are_regular():
     cells = cube(0.1, 5)[0].numpy() - CENTER
     assert np.allclose(np.unique(cells[:, 0].round(5)), [-0.08, -0.04, 0, 0.04, 0.08], atol=1e-5)
     assert np.allclose(cells.mean(0), 0, atol=1e-6)
     assert len(np.unique(cells.round(5), axis=0)) == 125
 
 
-def test_lifted_features_are_those_at_opencvs_projections():
+def test_lifted_features_match_opencvs_projections():
     # A ramp reads back the pixel at which it was sampled.
     rows, columns = torch.meshgrid(torch.arange(32.0), torch.arange(32.0), indexing="ij")
     features = torch.stack([columns, rows])[None, None].expand(1, 2, 2, 32, 32)
@@ -79,7 +79,7 @@ def test_lifted_features_are_those_at_opencvs_projections():
         assert np.allclose(lifted[0, view].T.numpy(), expected, atol=1e-3)
 
 
-def test_voxels_outside_a_view_get_the_initial_value():
+def test_voxels_outside_a_view_get_the_learned_value():
     maps = view_maps(nine_keypoints(), features=torch.ones(1, 2, 3, 32, 32))
     cells = cube(0.5, 7)
     outside = torch.tensor([5.0, 6.0, 7.0])
@@ -92,14 +92,14 @@ def test_voxels_outside_a_view_get_the_initial_value():
     assert torch.equal(values[torch.from_numpy(~seen)], outside.expand(int((~seen).sum()), 3))
 
 
-def test_voxels_behind_a_camera_get_the_initial_value():
+def test_voxels_behind_a_camera_get_the_learned_value():
     maps = view_maps(nine_keypoints(), features=torch.ones(1, 2, 1, 32, 32))
     behind = torch.tensor([[[0.0, 0.0, -0.5]]])
     lifted, _ = lift(maps, behind, torch.tensor([0.01]), torch.tensor([9.0]), False)
     assert lifted[0, 0, 0, 0] == 9.0
 
 
-def test_evidence_of_both_views_peaks_at_the_voxel_of_the_votes():
+def test_evidence_peaks_at_the_voted_voxel():
     cells = cube(0.08, 9)
     chosen = np.array([40, 100, 364, 500, 640, 3, 728, 81, 364])
     maps = view_maps(cells[0, chosen].double().numpy())
@@ -130,7 +130,7 @@ def test_exact_votes_are_triangulated_to_a_fraction_of_a_voxel(deviation, bfloat
         assert error.mean() < limit * float(level.cell_size)
 
 
-def test_two_views_know_more_of_a_point_than_its_ray():
+def test_two_views_reduce_the_depth_covariance():
     keypoints = nine_keypoints()
     maps = view_maps(keypoints)
     single = ViewMaps(*(part[:, :1] for part in maps))
@@ -143,7 +143,7 @@ def test_two_views_know_more_of_a_point_than_its_ray():
     assert torch.isfinite(alone.keypoints).all()
 
 
-def test_three_views_are_welcome():
+def test_three_views():
     maps = view_maps(nine_keypoints())
     third = ViewMaps(*(torch.cat([part, part[:, 1:]], 1) for part in maps))
     guess = torch.from_numpy(CENTER).float()[None]
@@ -175,7 +175,7 @@ def test_the_pose_loss_reaches_the_lifted_features():
     assert net.fine.outside.grad is not None
 
 
-def test_the_paper_preset_has_the_papers_grids():
+def test_paper_preset_grids():
     diameter = torch.tensor([0.2])
     paper = PRESETS["paper"]
     count, half = paper.coarse.shape(diameter)
@@ -191,7 +191,7 @@ def test_the_paper_preset_has_the_papers_grids():
     assert 1.3 * 0.2831 <= 2 * float(half[0]) < 1.3 * 0.2831 + 0.0051
 
 
-def test_the_fast_preset_scales_with_the_object():
+def test_fast_preset_scales_with_the_diameter():
     fast = PRESETS["fast"]
     for level in (fast.coarse, fast.fine):
         small, large = level.shape(torch.tensor([0.1])), level.shape(torch.tensor([0.2]))

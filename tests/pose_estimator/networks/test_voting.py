@@ -26,7 +26,7 @@ def field(
     return torch.tensor(np.stack([np.cos(angles), np.sin(angles)], axis=2), dtype=torch.float32)
 
 
-def alike(weights: torch.Tensor) -> torch.Tensor:
+def for_all_keypoints(weights: torch.Tensor) -> torch.Tensor:
     """Weights (B, H, W) of pixels that count the same for all keypoints, (B, 9, H, W)."""
     return weights[:, None].expand(-1, 9, -1, -1)
 
@@ -34,7 +34,7 @@ def alike(weights: torch.Tensor) -> torch.Tensor:
 def disc(batch: int, radius: float = 9.0) -> torch.Tensor:
     y, x = np.indices((SIZE, SIZE))
     inside = (x - 15) ** 2 + (y - 15) ** 2 < radius**2
-    return alike(torch.tensor(inside, dtype=torch.float32).expand(batch, SIZE, SIZE))
+    return for_all_keypoints(torch.tensor(inside, dtype=torch.float32).expand(batch, SIZE, SIZE))
 
 
 def errors(votes: Votes, keypoints: np.ndarray) -> np.ndarray:
@@ -62,7 +62,7 @@ def test_exact_directions_give_the_keypoint():
     assert_sound(votes)
 
 
-def test_outliers_are_outvoted():
+def test_robust_to_outliers():
     rng = np.random.default_rng(1)
     keypoints = rng.uniform(4, 28, (4, 9, 2))
     directions = field(keypoints, rng, noise=0.03, outliers=0.4)
@@ -78,7 +78,7 @@ def test_pixels_without_weight_do_not_vote():
     mask = disc(2)
     directions = torch.where(mask[:, :, None] > 0, field(keypoints, rng), 10 * field(decoys, rng))
     assert errors(vote_keypoints(directions, mask), keypoints).max() < 0.05
-    # A weight for each keypoint: half of them listen to the background.
+    # A weight for each keypoint: half of them weight the background.
     each = mask.clone()
     each[:, ::2] = 1 - each[:, ::2]
     expected = keypoints.copy()
@@ -102,7 +102,7 @@ def test_covariance_grows_with_noise_and_with_fewer_pixels():
     assert by_size == sorted(by_size) and by_size[2] > 3 * by_size[0]
 
 
-def test_covariance_is_long_along_the_line_of_sight():
+def test_covariance_is_elongated_along_the_lines():
     """A keypoint far to the right of the object is known in y and open in x."""
     rng = np.random.default_rng(4)
     keypoints = np.tile([60.0, 15.0], (1, 9, 1))
@@ -129,7 +129,7 @@ def test_few_pixels_give_large_finite_covariance(pixels: int):
     weights = torch.zeros(2, SIZE, SIZE)
     for row, column in [(10, 8), (20, 12)][:pixels]:
         weights[:, row, column] = 1.0
-    votes = vote_keypoints(field(keypoints, rng, noise=0.02), alike(weights))
+    votes = vote_keypoints(field(keypoints, rng, noise=0.02), for_all_keypoints(weights))
     assert_sound(votes)
     many = vote_keypoints(field(keypoints, rng, noise=0.02), disc(2))
     assert deviation(votes).min() > 5 * deviation(many).max()
@@ -151,7 +151,7 @@ def test_parallel_directions_give_large_finite_covariance():
     assert deviation(votes).min() > SIZE
 
 
-def test_garbage_is_answered():
+def test_nan_and_zero_directions_give_finite_votes():
     votes = vote_keypoints(torch.full((1, 9, 2, SIZE, SIZE), torch.nan), disc(1))
     assert_sound(votes)
     assert_sound(vote_keypoints(torch.zeros(1, 9, 2, SIZE, SIZE), disc(1)))
@@ -161,13 +161,13 @@ def test_votes_are_deterministic():
     rng = np.random.default_rng(8)
     directions = field(rng.uniform(4, 28, (2, 9, 2)), rng, noise=0.1, outliers=0.3)
     weights = torch.tensor(rng.random((2, SIZE, SIZE)), dtype=torch.float32)
-    weights = alike(weights)
+    weights = for_all_keypoints(weights)
     first, again = vote_keypoints(directions, weights), vote_keypoints(directions, weights)
     assert torch.equal(first.mean, again.mean)
     assert torch.equal(first.covariance, again.covariance)
 
 
-def test_wrong_inputs_are_named():
+def test_invalid_shapes_raise():
     with pytest.raises(ValueError, match="directions"):
         vote_keypoints(torch.zeros(1, 9, 3, 8, 8), torch.zeros(1, 9, 8, 8))
     with pytest.raises(ValueError, match="weights"):

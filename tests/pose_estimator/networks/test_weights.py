@@ -1,4 +1,4 @@
-"""Weights on disk: a round trip, and every kind of damage told clearly."""
+"""Weights files: round trip, and errors for damaged files."""
 
 import json
 import pickle
@@ -9,15 +9,15 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 from two_view_pose import pose_estimator
+from two_view_pose.pose_estimator.methods import OPTIONAL_PARTS, PARTS
 from two_view_pose.pose_estimator.networks.container import NetworkConfig, PoseNetworks
-from two_view_pose.pose_estimator.networks.parts import OPTIONAL_PARTS, PARTS
 from two_view_pose.pose_estimator.networks.weights import (
+    exported_state_dict,
     find_weights,
     load_networks,
     read_header,
     read_networks,
     save_weights,
-    stored_state,
 )
 
 
@@ -72,7 +72,7 @@ def change_tensors(path: Path, **changes: torch.Tensor) -> None:
     save_file(tensors | changes, path)
 
 
-def test_what_is_saved_comes_back(saved: Path, networks: PoseNetworks):
+def test_save_and_read_round_trip(saved: Path, networks: PoseNetworks):
     loaded = read_networks(saved)
     assert list(loaded.objects) == ["brick", "crate"]
     assert loaded.config == networks.config and not loaded.training
@@ -84,7 +84,7 @@ def test_what_is_saved_comes_back(saved: Path, networks: PoseNetworks):
     assert saved.stat().st_size < 1.1 * parameters
 
 
-def test_the_loaded_networks_answer_alike(saved: Path, networks: PoseNetworks):
+def test_quantized_networks_have_similar_outputs(saved: Path, networks: PoseNetworks):
     crops = torch.rand(1, 3, 128, 128, generator=torch.Generator().manual_seed(0)) * 255
     with torch.no_grad():
         ours = networks.features(crops, torch.tensor([1])).directions
@@ -92,14 +92,14 @@ def test_the_loaded_networks_answer_alike(saved: Path, networks: PoseNetworks):
     assert float((ours - theirs).abs().max()) < 0.02 * float(ours.abs().max())
 
 
-def test_storing_again_what_was_stored_changes_nothing(complete: Path, tmp_path: Path):
+def test_saving_read_weights_is_idempotent(complete: Path, tmp_path: Path):
     save_weights(read_networks(complete), tmp_path / "again.safetensors", {})
     assert (tmp_path / "again.safetensors").read_bytes() == complete.read_bytes()
 
 
 @pytest.mark.parametrize("name", ["detector.head.bias", "features.decoders.0.trunk.0.weight"])
 @pytest.mark.parametrize("number", [torch.nan, torch.inf])
-def test_networks_with_nan_are_not_stored(boxes, tmp_path: Path, name: str, number: float):
+def test_saving_nan_raises(boxes, tmp_path: Path, name: str, number: float):
     networks = PoseNetworks(boxes)
     with torch.no_grad():
         networks.state_dict()[name][5] = number
@@ -108,7 +108,7 @@ def test_networks_with_nan_are_not_stored(boxes, tmp_path: Path, name: str, numb
     assert not list(tmp_path.iterdir())
 
 
-def test_the_header_says_what_the_weights_are(saved: Path):
+def test_header_contents(saved: Path):
     header = read_header(saved)
     assert header["what"] == "untrained"
     assert header["objects"]["crate"]["obj_id"] == 7
@@ -116,13 +116,13 @@ def test_the_header_says_what_the_weights_are(saved: Path):
     assert "commit" in header
 
 
-def test_the_same_file_is_read_once(saved: Path):
+def test_networks_are_cached(saved: Path):
     assert load_networks(saved) is load_networks(str(saved))
 
 
 @pytest.fixture(scope="module")
 def complete(networks: PoseNetworks, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Weights whose parts are all said to be trained."""
+    """Weights with all parts marked as trained."""
     path = tmp_path_factory.mktemp("complete") / "boxes.safetensors"
     trained = networks.trained
     networks.trained = frozenset(PARTS)
@@ -139,16 +139,14 @@ def test_load_gives_estimators(complete: Path):
 
 
 @pytest.mark.parametrize(("method", "part"), [("early", "cascade"), ("rgbd", "points")])
-def test_a_method_whose_part_was_not_trained_says_how_to_train_it(saved: Path, method, part):
+def test_missing_part_names_the_training_command(saved: Path, method, part):
     pose_estimator.load("single", saved)
     command = f"generated with --depth: .* train-estimator --stages {part} --init {saved} --data"
     with pytest.raises(ValueError, match=f"lack what '{method}' needs.*'{part}'.*{command}"):
         pose_estimator.load(method, saved)
 
 
-def test_optional_parts_are_written_once_they_are_trained(
-    saved: Path, complete: Path, networks: PoseNetworks
-):
+def test_optional_parts_are_written_if_trained(saved: Path, complete: Path, networks: PoseNetworks):
     assert read_header(saved)["trained"] == []
     assert not [n for n in load_file(saved) if optional(n)]
     assert read_networks(saved).trained == frozenset()
@@ -156,18 +154,18 @@ def test_optional_parts_are_written_once_they_are_trained(
     loaded = read_networks(complete)
     assert loaded.trained == set(PARTS)
     stored = load_file(complete)
-    assert stored_state(loaded).keys() <= stored.keys()
+    assert exported_state_dict(loaded).keys() <= stored.keys()
     assert_stored(loaded, networks, stored)
 
 
-def test_a_part_that_should_be_there_is_missed(damaged: Path):
+def test_missing_tensors_of_a_trained_part_raise(damaged: Path):
     change_header(damaged, trained=["detector", "features", "cascade"])
     with pytest.raises(ValueError, match=r"does not fit its header: cascade\."):
         read_networks(damaged)
 
 
 @pytest.mark.parametrize("trained", [["magic"], "volume", 3, [3], None])
-def test_a_header_that_trained_unknown_parts(damaged: Path, trained):
+def test_header_with_unknown_parts_raises(damaged: Path, trained):
     change_header(damaged, trained=trained)
     with pytest.raises(ValueError, match=r"trained|does not describe networks"):
         read_networks(damaged)
@@ -180,14 +178,14 @@ def test_unknown_names_and_missing_files(tmp_path: Path):
         find_weights(tmp_path / "none.safetensors")
 
 
-def test_a_missing_header(damaged: Path):
+def test_missing_header_raises(damaged: Path):
     damaged.with_suffix(".json").unlink()
     with pytest.raises(FileNotFoundError, match=r"header .* is missing"):
         read_networks(damaged)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"format": 99}', '"format"'])
-def test_a_header_that_is_none(damaged: Path, text: str):
+def test_invalid_header_raises(damaged: Path, text: str):
     damaged.with_suffix(".json").write_text(text)
     with pytest.raises(ValueError, match="cannot be read"):
         read_networks(damaged)
@@ -206,20 +204,20 @@ def test_a_header_that_is_none(damaged: Path, text: str):
         {"objects": {"nothing": {}}},
     ],
 )
-def test_a_header_that_describes_no_networks(damaged: Path, changes: dict):
+def test_header_without_networks_raises(damaged: Path, changes: dict):
     change_header(damaged, **changes)
     with pytest.raises(ValueError):
         read_networks(damaged)
 
 
 @pytest.mark.parametrize("keep", [0, 4, 1000, 1_000_000])
-def test_a_truncated_file(damaged: Path, keep: int):
+def test_truncated_file_raises(damaged: Path, keep: int):
     damaged.write_bytes(damaged.read_bytes()[:keep])
     with pytest.raises(ValueError, match="is damaged"):
         read_networks(damaged)
 
 
-def test_flipped_bits_in_the_files_table(damaged: Path):
+def test_flipped_bits_raise(damaged: Path):
     content = bytearray(damaged.read_bytes())
     content[20:40] = bytes(byte ^ 0xFF for byte in content[20:40])
     damaged.write_bytes(bytes(content))
@@ -227,14 +225,14 @@ def test_flipped_bits_in_the_files_table(damaged: Path):
         read_networks(damaged)
 
 
-def test_nan(damaged: Path):
+def test_nan_in_a_file_raises(damaged: Path):
     change_tensors(damaged, **{"detector.head.bias": torch.full((8,), torch.nan)})
     with pytest.raises(ValueError, match="NaN or infinite"):
         read_networks(damaged)
 
 
 @pytest.mark.parametrize("scale", [None, torch.ones(5), torch.full((64,), torch.nan)])
-def test_damaged_scales(damaged: Path, scale: torch.Tensor | None):
+def test_invalid_scales_raise(damaged: Path, scale: torch.Tensor | None):
     tensors = load_file(damaged)
     name = "features.decoders.0.trunk.0.weight.scale"
     assert tensors.pop(name).shape == (64,)
@@ -246,7 +244,7 @@ def test_damaged_scales(damaged: Path, scale: torch.Tensor | None):
         read_networks(damaged)
 
 
-def test_wrong_shapes_and_unknown_tensors(damaged: Path):
+def test_wrong_shapes_and_unknown_tensors_raise(damaged: Path):
     change_tensors(damaged, **{"detector.head.bias": torch.zeros(9)})
     with pytest.raises(ValueError, match=r"does not fit its header: detector\.head\.bias"):
         read_networks(damaged)
@@ -255,7 +253,7 @@ def test_wrong_shapes_and_unknown_tensors(damaged: Path):
         read_networks(damaged)
 
 
-def test_weights_of_other_objects_do_not_fit(damaged: Path):
+def test_weights_of_other_objects_raise(damaged: Path):
     header = read_header(damaged)
     change_header(damaged, objects={"brick": header["objects"]["brick"]})
     with pytest.raises(ValueError, match="does not fit its header"):
@@ -273,6 +271,6 @@ def test_a_pickle_is_not_executed(damaged: Path):
         read_networks(damaged)
 
 
-def test_an_unknown_preset_is_named(boxes):
+def test_unknown_preset_raises(boxes):
     with pytest.raises(ValueError, match="unknown preset 'slow'; there are fast, paper"):
         PoseNetworks(boxes, NetworkConfig(preset="slow"))

@@ -1,4 +1,4 @@
-"""Linear triangulation against a transform written out, and its covariances against samples."""
+"""Linear triangulation against a written-out DLT, and its covariances against Monte Carlo."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_exact_pixels_give_the_points(angles):
     assert (np.linalg.eigvalsh(covariance) > 0).all()
 
 
-def test_noisy_pixels_give_the_smallest_singular_vector():
+def test_noisy_pixels_match_the_written_out_dlt():
     _, pixels, cameras = rig((0, 25))
     pixels = pixels + np.random.default_rng(2).normal(0, 3, pixels.shape)
     found, _ = triangulate_linearly(pixels, spreads(2, 5), KS[:2], cameras)
@@ -51,7 +51,7 @@ def test_noisy_pixels_give_the_smallest_singular_vector():
 
 
 @pytest.mark.parametrize("angles", [(0, 20), (0, 60), (0, 25, -40)])
-def test_covariance_is_that_of_samples(angles):
+def test_covariance_matches_monte_carlo(angles):
     points, pixels, cameras = rig(angles, count=3)
     views, draws = len(angles), 2000
     given = 0.05 * spreads(views, 3)
@@ -59,19 +59,19 @@ def test_covariance_is_that_of_samples(angles):
     noise = np.einsum(
         "vnij,dvnj->dvni", np.linalg.cholesky(given), rng.normal(size=(draws, views, 3, 2))
     )
-    # All draws at once, as so many points.
+    # All samples at once, as points of one call.
     many = (pixels + noise).transpose(1, 0, 2, 3).reshape(views, -1, 2)
     repeated = np.tile(given[:, None], (1, draws, 1, 1, 1)).reshape(views, -1, 2, 2)
     found, covariance = triangulate_linearly(many, repeated, KS[:views], cameras)
     errors = (found - np.tile(transform(cameras[0], points), (draws, 1))).reshape(draws, 3, 3)
     for i in range(3):
-        said = covariance.reshape(draws, 3, 3, 3)[:, i].mean(0)
-        scale = np.sqrt(np.outer(np.diag(said), np.diag(said)))
-        assert np.abs((np.cov(errors[:, i].T) - said) / scale).max() < 0.12
-        assert np.linalg.norm(errors[:, i].mean(0)) < 0.2 * np.sqrt(np.trace(said))
+        claimed = covariance.reshape(draws, 3, 3, 3)[:, i].mean(0)
+        scale = np.sqrt(np.outer(np.diag(claimed), np.diag(claimed)))
+        assert np.abs((np.cov(errors[:, i].T) - claimed) / scale).max() < 0.12
+        assert np.linalg.norm(errors[:, i].mean(0)) < 0.2 * np.sqrt(np.trace(claimed))
 
 
-def test_a_third_view_makes_it_surer_but_less_than_two_pairs_would():
+def test_third_view_reduces_covariance_less_than_independent_pairs():
     _, pixels, cameras = rig((0, 25, -25))
     covariances = np.tile(np.eye(2), (3, 5, 1, 1))
     _, three = triangulate_linearly(pixels, covariances, KS, cameras)
@@ -92,7 +92,7 @@ def check_finite(found: np.ndarray, covariance: np.ndarray, cameras: list) -> No
         assert transform(T @ np.linalg.inv(cameras[0]), found)[:, 2].min() > 0
 
 
-def test_parallel_rays_are_finite_and_unsure():
+def test_parallel_rays_are_finite_and_uncertain():
     pixels = np.tile([[300.0, 200.0], [340.0, 260.0]], (2, 1, 1))
     aside = make_transform(np.eye(3), np.array([-0.1, 0, 0]))
     for cameras in ([np.eye(4), np.eye(4)], [np.eye(4), aside]):
@@ -103,7 +103,7 @@ def test_parallel_rays_are_finite_and_unsure():
         assert np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]).min() > 0.5
 
 
-def test_nearly_parallel_rays_are_unsure_by_as_much_as_theory_says():
+def test_nearly_parallel_rays_have_the_theoretical_depth_error():
     baseline, depth, sigma = 0.005, 0.9, 0.3
     aside = make_transform(np.eye(3), np.array([-baseline, 0, 0]))
     point = np.array([[0.0, 0.0, depth]])
@@ -115,7 +115,7 @@ def test_nearly_parallel_rays_are_unsure_by_as_much_as_theory_says():
     assert np.sqrt(covariance[0, 2, 2]) == pytest.approx(expected, rel=1e-3)
 
 
-def test_rays_that_meet_behind_the_cameras_are_answered_in_front():
+def test_diverging_rays_give_points_in_front():
     aside = make_transform(np.eye(3), np.array([-0.2, 0, 0]))
     pixels = np.array([[[300.0, 240.0]], [[400.0, 240.0]]])  # they diverge
     found, covariance = triangulate_linearly(
@@ -125,7 +125,7 @@ def test_rays_that_meet_behind_the_cameras_are_answered_in_front():
 
 
 @pytest.mark.parametrize("views", [2, 3])
-def test_garbage_is_answered(views):
+def test_random_inputs_give_finite_points(views):
     rng = np.random.default_rng(4)
     for _ in range(20):
         cameras = [
@@ -138,7 +138,7 @@ def test_garbage_is_answered(views):
         assert np.isfinite(found).all() and np.isfinite(covariance).all()
 
 
-def test_an_unseen_point_is_left_to_the_other_views():
+def test_point_missing_in_one_view():
     points, pixels, cameras = rig((0, 25, -40))
     pixels[1, 2] = np.nan
     covariances = np.tile(np.eye(2), (3, 5, 1, 1))
@@ -147,7 +147,7 @@ def test_an_unseen_point_is_left_to_the_other_views():
     assert np.isfinite(covariance).all()
 
 
-def test_wrong_inputs_are_named():
+def test_invalid_inputs_raise():
     _, pixels, cameras = rig((0, 25))
     covariances = spreads(2, 5)
     with pytest.raises(ValueError, match="V >= 2 views"):

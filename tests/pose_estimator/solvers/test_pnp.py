@@ -29,8 +29,8 @@ def keypoint_error(T_est: np.ndarray, T_true: np.ndarray) -> float:
 
 def left_difference(T_est: np.ndarray, T_true: np.ndarray) -> np.ndarray:
     """The perturbation (w, v) that takes the true pose to the estimate, (6,)."""
-    turn = Rotation.from_matrix(T_est[:3, :3] @ T_true[:3, :3].T).as_rotvec()
-    return np.concatenate([turn, T_est[:3, 3] - T_true[:3, 3]])
+    rotation = Rotation.from_matrix(T_est[:3, :3] @ T_true[:3, :3].T).as_rotvec()
+    return np.concatenate([rotation, T_est[:3, 3] - T_true[:3, 3]])
 
 
 def test_clean_pixels_give_the_pose():
@@ -43,24 +43,24 @@ def test_clean_pixels_give_the_pose():
         assert result.cost < 1e-9
 
 
-def test_equal_covariances_give_opencvs_least_squares():
+def test_equal_covariances_match_opencv_refine_lm():
     """Within the Huber limit, the optimum is that of OpenCV's own Levenberg-Marquardt."""
     rng = np.random.default_rng(2)
     for _ in range(10):
         T = some_pose(rng)
         pixels = project(transform(T, MODEL), LINEMOD_K) + rng.normal(size=(9, 2)) * 0.5
-        turn, shift = cv2.solvePnPRefineLM(
+        rvec, shift = cv2.solvePnPRefineLM(
             MODEL, pixels, LINEMOD_K, None, cv2.Rodrigues(T[:3, :3])[0], T[:3, 3:].copy()
         )
-        expected = make_transform(cv2.Rodrigues(turn)[0], shift.ravel())
+        expected = make_transform(cv2.Rodrigues(rvec)[0], shift.ravel())
         result = uncertainty_pnp(MODEL, pixels, isotropic(5.0), LINEMOD_K)
         assert keypoint_error(result.T_cam_obj, expected) < 2e-4
 
 
-def test_uncertain_keypoints_count_for_less():
-    """Half of the keypoints are off by 20 pixels along a direction that they are known to be."""
+def test_uncertain_keypoints_have_less_weight():
+    """Half of the keypoints are off by 20 pixels along a direction of large variance."""
     rng = np.random.default_rng(3)
-    told, untold = [], []
+    weighted, plain = [], []
     for _ in range(20):
         T = some_pose(rng)
         pixels = project(transform(T, MODEL), LINEMOD_K) + rng.normal(size=(9, 2)) * 0.3
@@ -69,17 +69,17 @@ def test_uncertain_keypoints_count_for_less():
             axis = np.array([np.cos(k), np.sin(k)])
             pixels[k] += 20 * rng.normal() * axis
             covariances[k] += 400 * np.outer(axis, axis)
-        told.append(
+        weighted.append(
             keypoint_error(uncertainty_pnp(MODEL, pixels, covariances, LINEMOD_K).T_cam_obj, T)
         )
-        untold.append(
+        plain.append(
             keypoint_error(uncertainty_pnp(MODEL, pixels, isotropic(0.3), LINEMOD_K).T_cam_obj, T)
         )
-    assert np.median(told) < 0.01
-    assert np.median(told) < 0.7 * np.median(untold)
+    assert np.median(weighted) < 0.01
+    assert np.median(weighted) < 0.7 * np.median(plain)
 
 
-def test_gross_outliers_are_survived():
+def test_robust_to_gross_outliers():
     rng = np.random.default_rng(4)
     robust, plain = [], []
     for _ in range(20):
@@ -88,12 +88,12 @@ def test_gross_outliers_are_survived():
         pixels[:2] += rng.normal(size=(2, 2)) * 80
         result = uncertainty_pnp(MODEL, pixels, isotropic(0.5), LINEMOD_K)
         robust.append(keypoint_error(result.T_cam_obj, T))
-        _, turn, shift = cv2.solvePnP(MODEL, pixels, LINEMOD_K, None, flags=cv2.SOLVEPNP_SQPNP)
-        plain.append(keypoint_error(make_transform(cv2.Rodrigues(turn)[0], shift.ravel()), T))
+        _, rvec, shift = cv2.solvePnP(MODEL, pixels, LINEMOD_K, None, flags=cv2.SOLVEPNP_SQPNP)
+        plain.append(keypoint_error(make_transform(cv2.Rodrigues(rvec)[0], shift.ravel()), T))
     assert np.median(robust) < 0.01 < np.median(plain)
 
 
-def test_covariance_is_that_of_repeated_measurements():
+def test_covariance_matches_monte_carlo():
     rng = np.random.default_rng(5)
     T = some_pose(rng)
     clean = project(transform(T, MODEL), LINEMOD_K)
@@ -110,23 +110,23 @@ def test_covariance_is_that_of_repeated_measurements():
     claimed = np.mean(claimed, axis=0)
     ratio = np.sqrt(np.diag(claimed) / np.diag(measured))
     assert ((ratio > 0.75) & (ratio < 1.33)).all(), ratio
-    # And so do the keypoints in space that follow from it.
-    turns = Rotation.from_rotvec(np.array(differences)[:, :3]).as_matrix() @ T[:3, :3]
+    # The same for the propagated covariance of the 3D keypoints.
+    rotations = Rotation.from_rotvec(np.array(differences)[:, :3]).as_matrix() @ T[:3, :3]
     shifts = T[:3, 3] + np.array(differences)[:, 3:]
-    spread = MODEL @ turns.transpose(0, 2, 1) + shifts[:, None]
+    spread = MODEL @ rotations.transpose(0, 2, 1) + shifts[:, None]
     propagated = keypoints_covariance(T, MODEL, claimed)
     for k in range(9):
         ratio = np.sqrt(np.diag(propagated[k]) / spread[:, k].var(axis=0))
         assert ((ratio > 0.7) & (ratio < 1.4)).all(), ratio
 
 
-def test_projection_jacobian_is_the_finite_difference():
+def test_projection_jacobian_matches_finite_differences():
     point = np.array([0.1, -0.2, 0.9])
     numeric = approx_fprime(point, lambda p: project(p, LINEMOD_K), 1e-7)
     np.testing.assert_allclose(projection_jacobian(point, LINEMOD_K), numeric, atol=1e-2)
 
 
-def test_garbage_gives_a_finite_pose_in_front():
+def test_random_inputs_give_a_finite_pose_in_front():
     rng = np.random.default_rng(6)
     for case in range(60):
         pixels = rng.normal(size=(9, 2)) * 10 ** rng.uniform(-3, 5)
@@ -146,12 +146,12 @@ def test_garbage_gives_a_finite_pose_in_front():
         assert (np.linalg.eigvalsh(result.covariance) > 0).all()
 
 
-def test_a_pose_that_nothing_constrains_is_said_to_be_unknown():
+def test_unconstrained_pose_has_the_prior_covariance():
     result = uncertainty_pnp(MODEL, np.full((9, 2), np.nan), isotropic(1.0), LINEMOD_K)
     np.testing.assert_allclose(result.covariance, np.eye(6))
 
 
-def test_wrong_inputs_are_named():
+def test_invalid_inputs_raise():
     pixels, covariances = np.zeros((9, 2)), isotropic(1.0)
     with pytest.raises(ValueError, match="model_points"):
         uncertainty_pnp(MODEL[:3], pixels[:3], covariances[:3], LINEMOD_K)

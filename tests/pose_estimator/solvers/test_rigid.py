@@ -48,7 +48,7 @@ def test_exact_without_noise(solver):
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_each_pose_of_a_batch_is_as_if_alone(solver):
+def test_batch_equals_single_poses(solver):
     model, truth, rng = scene(1)
     predicted = truth + rng.normal(0, 0.01, truth.shape)
     diameters = torch.linspace(0.1, 0.3, len(truth))
@@ -62,7 +62,7 @@ def test_each_pose_of_a_batch_is_as_if_alone(solver):
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_models_of_their_own(solver):
+def test_one_model_for_each_pose(solver):
     """Poses of several objects at once, one of which has keypoints on a line."""
     models, predicted = [], []
     for seed in range(4):
@@ -85,7 +85,7 @@ def test_no_poses(solver):
     assert found.rotation.shape == (0, 3, 3) and found.translation.shape == (0, 3)
 
 
-def test_kabsch_weighs_keypoints_by_their_precision():
+def test_kabsch_weights_keypoints_by_their_precision():
     model, truth, rng = scene(2)
     deviation = rng.uniform(0.002, 0.03, (6, 9))
     predicted = truth + rng.normal(size=truth.shape) * deviation[..., None]
@@ -100,7 +100,7 @@ def test_kabsch_weighs_keypoints_by_their_precision():
 
 
 def looping_ransac(model: np.ndarray, predicted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Every triple in turn; the most inliers win, then the least squared and cut distances."""
+    """Every triple in turn; the most inliers win, then the least truncated squared distances."""
     best, chosen = (-1, np.inf), None
     for corners in map(list, combinations(range(9), 3)):
         rotation, translation = fit(model[corners], predicted[corners])
@@ -112,7 +112,7 @@ def looping_ransac(model: np.ndarray, predicted: np.ndarray) -> tuple[np.ndarray
     return fit(model[chosen], predicted[chosen])
 
 
-def test_hard_is_ransac_over_all_triples():
+def test_hard_matches_a_looping_ransac():
     model, truth, rng = scene(3)
     predicted = truth + rng.normal(0, 0.012, truth.shape)
     predicted[:, :3] += rng.normal(0, 0.1, (6, 3, 3))
@@ -133,20 +133,20 @@ def test_gross_outliers(solver, robust):
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_a_keypoint_known_to_be_poor_counts_less(solver):
+def test_uncertain_keypoint_has_less_weight(solver):
     model, truth, rng = scene(5, batch=40)
     predicted = truth + rng.normal(0, 0.002, truth.shape)
     predicted[:, 0] += 0.03  # within the inliers
     covariance = np.tile(np.eye(3) * 0.002**2, (40, 9, 1, 1))
     covariance[:, 0] = np.eye(3) * 0.05**2
-    knowing, trusting = (
+    weighted, plain = (
         distance(model, run(model, predicted, solver, c), truth).mean() for c in (covariance, None)
     )
-    assert knowing < 0.85 * trusting
+    assert weighted < 0.85 * plain
 
 
 @pytest.mark.parametrize("solver", ["soft", "kabsch"])
-def test_gradient_is_the_finite_difference(solver):
+def test_gradient_matches_finite_differences(solver):
     model, truth, rng = scene(6, batch=2)
     predicted = torch.tensor(truth + rng.normal(0, 0.01, truth.shape), requires_grad=True)
     covariance = torch.from_numpy(rng.uniform(1e-5, 1e-3, (2, 9, 1, 1)) * np.eye(3))
@@ -158,7 +158,7 @@ def test_gradient_is_the_finite_difference(solver):
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("kind", ["coincident", "collinear", "far apart", "without trust"])
+@pytest.mark.parametrize("kind", ["coincident", "collinear", "mirrored", "far apart", "uncertain"])
 def test_degenerate_keypoints_give_finite_rotations(solver, kind):
     model, truth, rng = scene(7)
     predicted, covariance = truth.copy(), np.tile(np.eye(3), (6, 9, 1, 1))
@@ -166,9 +166,11 @@ def test_degenerate_keypoints_give_finite_rotations(solver, kind):
         predicted[:] = [0, 0, 1.0]
     if kind == "collinear":
         predicted[:] = np.linspace(0, 0.2, 9)[:, None]
+    if kind == "mirrored":
+        predicted[:] = model * [-1, 1, 1]
     if kind == "far apart":
         predicted += rng.normal(0, 10, predicted.shape)
-    if kind == "without trust":
+    if kind == "uncertain":
         covariance *= 1e12
     points = torch.from_numpy(predicted).float().requires_grad_()
     found = solve(
@@ -180,7 +182,7 @@ def test_degenerate_keypoints_give_finite_rotations(solver, kind):
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_one_object_in_arrays(solver):
+def test_solve_pose_of_arrays(solver):
     model, truth, _ = scene(8)
     T = solve_pose(model, truth[0], DIAMETER, solver, np.tile(np.eye(3), (9, 1, 1)))
     assert T.dtype == np.float64
@@ -188,7 +190,7 @@ def test_one_object_in_arrays(solver):
     np.testing.assert_allclose(model @ T[:3, :3].T + T[:3, 3], truth[0], atol=1e-5)
 
 
-def test_estimating_first_does_not_spoil_training():
+def test_inference_before_training():
     model, truth, _ = scene(9)
     # Ten keypoints: no other test has left anything in the caches.
     model, truth = (np.concatenate([a, a[..., :1, :] + 0.05], -2) for a in (model, truth))
@@ -199,7 +201,7 @@ def test_estimating_first_does_not_spoil_training():
     assert torch.isfinite(points.grad).all()
 
 
-def test_wrong_inputs_are_named():
+def test_invalid_inputs_raise():
     model, truth, _ = scene(10)
     with pytest.raises(ValueError, match="unknown solver 'best'; there are soft, kabsch, hard"):
         run(model, truth, "best")

@@ -14,9 +14,9 @@ def by_singular_values(matrices: np.ndarray) -> np.ndarray:
     return u @ vt
 
 
-def test_is_that_of_singular_values():
+def test_matches_the_svd():
     rng = np.random.default_rng(0)
-    matrices = rng.normal(size=(5, 40, 3, 3))  # half of them turn left into right
+    matrices = rng.normal(size=(5, 40, 3, 3))  # half of them are reflections
     assert 60 < (np.linalg.det(matrices) < 0).sum() < 140
     found = project_to_so3(torch.from_numpy(matrices))
     np.testing.assert_allclose(found, by_singular_values(matrices), atol=1e-9)
@@ -24,7 +24,7 @@ def test_is_that_of_singular_values():
     assert np.median(np.abs(single.numpy() - found.numpy())) < 1e-6
 
 
-def test_planes_are_enough():
+def test_rank_two_matrices():
     """Keypoints in a plane leave one singular value of zero."""
     rng = np.random.default_rng(1)
     rotations = Rotation.random(50, rng=rng).as_matrix()
@@ -32,8 +32,8 @@ def test_planes_are_enough():
     np.testing.assert_allclose(project_to_so3(torch.from_numpy(matrices)), rotations, atol=1e-9)
 
 
-def test_always_a_rotation():
-    """Where nothing is nearest: no size, one direction only, a point reflection."""
+def test_degenerate_matrices_give_rotations():
+    """Zero, rank one, and a point reflection."""
     line = torch.outer(torch.tensor([0.0, 0.6, 0.8]), torch.tensor([1.0, 0.0, 0.0]))
     found = project_to_so3(torch.stack([torch.zeros(3, 3), line, -torch.eye(3)]))
     torch.testing.assert_close(found @ found.mT, torch.eye(3).expand(3, 3, 3))

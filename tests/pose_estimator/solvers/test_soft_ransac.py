@@ -27,43 +27,11 @@ def moved(points: np.ndarray, rotations: np.ndarray, translations: np.ndarray) -
     return points @ rotations.transpose(0, 2, 1) + translations[:, None]
 
 
-def scipy_fit(model: np.ndarray, points: np.ndarray, weights=None) -> np.ndarray:
-    weights = np.ones(len(model)) if weights is None else weights
-    a = points - np.average(points, axis=0, weights=weights)
-    b = model - np.average(model, axis=0, weights=weights)
-    return Rotation.align_vectors(a, b, weights=weights)[0].as_matrix()
+def scipy_fit(model: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return Rotation.align_vectors(points - points.mean(0), model - model.mean(0))[0].as_matrix()
 
 
-def test_exact_without_noise():
-    rng = np.random.default_rng(0)
-    model = keypoints(rng)
-    rotations, translations = poses(rng, 16)
-    predicted = torch.tensor(moved(model, rotations, translations))
-    result = soft_ransac(torch.tensor(model), predicted)
-    np.testing.assert_allclose(result.rotation, rotations, atol=1e-9)
-    np.testing.assert_allclose(result.translation, translations, atol=1e-9)
-    assert result.weights.shape == (16, 84)
-    torch.testing.assert_close(result.weights.sum(1), torch.ones(16, dtype=torch.float64))
-
-
-def test_kabsch_is_scipys_alignment():
-    rng = np.random.default_rng(1)
-    model = keypoints(rng)
-    rotations, translations = poses(rng, 8)
-    predicted = moved(model, rotations, translations) + rng.normal(size=(8, 9, 3)) * 0.03
-    weights = rng.uniform(0.1, 2.0, (8, 9))
-    rotation, translation = kabsch(
-        torch.tensor(model), torch.tensor(predicted), torch.tensor(weights)
-    )
-    for i in range(8):
-        expected = scipy_fit(model, predicted[i], weights[i])
-        np.testing.assert_allclose(rotation[i], expected, atol=1e-7)
-        centroid = np.average(predicted[i], axis=0, weights=weights[i])
-        model_centroid = np.average(model, axis=0, weights=weights[i])
-        np.testing.assert_allclose(translation[i], centroid - expected @ model_centroid, atol=1e-7)
-
-
-def test_three_points_are_kabsch_of_three_points():
+def test_three_points_match_scipys_alignment():
     """With three keypoints there is one hypothesis, which the closed form alone decides."""
     rng = np.random.default_rng(2)
     model = rng.normal(size=(50, 3, 3)) * 0.05
@@ -76,7 +44,7 @@ def test_three_points_are_kabsch_of_three_points():
         np.testing.assert_allclose(result.translation[i], shift, atol=1e-6)
 
 
-def test_average_is_the_papers():
+def test_weighted_average_matches_the_equations():
     """All 84 fits by SciPy, scored, normalized and averaged as the equations say."""
     rng = np.random.default_rng(13)
     model = keypoints(rng)
@@ -104,7 +72,7 @@ def test_average_is_the_papers():
 
 
 @pytest.mark.parametrize("sharpness", [1.0, 8.0])
-def test_gross_outliers_do_not_move_it(sharpness: float):
+def test_robust_to_gross_outliers(sharpness: float):
     rng = np.random.default_rng(4)
     model = keypoints(rng)
     rotations, translations = poses(rng, 40)
@@ -122,7 +90,7 @@ def test_gross_outliers_do_not_move_it(sharpness: float):
     assert error(*kabsch(torch.tensor(model), torch.tensor(predicted))) > 0.03
 
 
-def test_gradient_is_the_finite_difference():
+def test_gradient_matches_finite_differences():
     rng = np.random.default_rng(5)
     model = torch.tensor(keypoints(rng, 5))
     rotations, translations = poses(rng, 2)
@@ -141,24 +109,7 @@ def test_gradient_is_the_finite_difference():
     )
 
 
-@pytest.mark.parametrize("kind", ["coincident", "collinear", "mirrored"])
-def test_degenerate_predictions_give_finite_poses_and_gradients(kind: str):
-    rng = np.random.default_rng(6)
-    model = torch.tensor(keypoints(rng), dtype=torch.float32)
-    points = torch.ones(2, 9, 3)
-    if kind == "collinear":
-        points = points * torch.linspace(0, 0.2, 9)[:, None]
-    if kind == "mirrored":
-        points = torch.stack([model * torch.tensor([-1.0, 1, 1]), -model])
-    points = points.clone().requires_grad_()
-    result = soft_ransac(model, points)
-    (result.rotation.sum() + result.translation.square().sum()).backward()
-    assert torch.isfinite(result.rotation).all() and torch.isfinite(result.translation).all()
-    assert torch.isfinite(points.grad).all()
-    torch.testing.assert_close(torch.linalg.det(result.rotation), torch.ones(2))
-
-
-def test_collinear_model_triples_have_no_weight():
+def test_collinear_model_triples_have_zero_weight():
     rng = np.random.default_rng(7)
     model = keypoints(rng, 6)
     model[2] = 0.5 * (model[0] + model[1])
@@ -181,7 +132,7 @@ def test_half_precision_and_autocast_give_float32():
     assert rough.rotation.dtype == torch.float32
 
 
-def test_scale_of_the_inlier_test_follows_the_object():
+def test_inlier_test_scales_with_the_diameter():
     """A scene twice the size gives the same rotation and twice the translation."""
     rng = np.random.default_rng(9)
     model = torch.tensor(keypoints(rng))
@@ -195,7 +146,7 @@ def test_scale_of_the_inlier_test_follows_the_object():
     torch.testing.assert_close(twice.translation, 2 * once.translation)
 
 
-def test_wrong_inputs_are_named():
+def test_invalid_inputs_raise():
     model = torch.rand(9, 3)
     with pytest.raises(ValueError, match="predicted"):
         soft_ransac(model, torch.rand(9, 3))

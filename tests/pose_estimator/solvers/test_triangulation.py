@@ -5,21 +5,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from helpers.votes import camera
 from two_view_pose.core.geometry import LINEMOD_K, make_transform, project, transform
 from two_view_pose.pose_estimator.solvers.triangulation import triangulate
 
 SHIFTED = make_transform(np.eye(3), np.array([-0.2, 0.0, 0.0]))
 """A camera 0.2 m to the right of one at the world's origin."""
-
-
-def looking_camera(azimuth: float, distance: float = 0.9) -> np.ndarray:
-    """T_cam_world of a camera that looks at the world's origin from above."""
-    center = distance * np.array([0.8 * np.cos(azimuth), 0.8 * np.sin(azimuth), 0.6])
-    z = -center / np.linalg.norm(center)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    rotation = np.stack([x, np.cross(z, x), z])
-    return make_transform(rotation, -rotation @ center)
 
 
 def seen(points: np.ndarray, cameras: list[np.ndarray]) -> np.ndarray:
@@ -33,7 +24,7 @@ def isotropic(deviation: float, views: int, count: int) -> np.ndarray:
 @pytest.mark.parametrize("views", [2, 3])
 def test_clean_pixels_give_the_points_in_the_first_camera(views: int):
     rng = np.random.default_rng(0)
-    cameras = [looking_camera(0.4 * v, 0.8 + 0.1 * v) for v in range(views)]
+    cameras = [camera(25 * v) for v in range(views)]
     points = rng.uniform(-0.1, 0.1, (9, 3))
     result, _ = triangulate(
         seen(points, cameras), isotropic(1.0, views, 9), [LINEMOD_K] * views, cameras
@@ -41,9 +32,9 @@ def test_clean_pixels_give_the_points_in_the_first_camera(views: int):
     np.testing.assert_allclose(result, transform(cameras[0], points), atol=1e-7)
 
 
-def test_near_opencv_and_nearer_in_the_pixels():
+def test_near_opencv_with_smaller_reprojection_error():
     rng = np.random.default_rng(1)
-    cameras = [looking_camera(0.0), looking_camera(0.6)]
+    cameras = [camera(0), camera(35)]
     points = rng.uniform(-0.1, 0.1, (40, 3))
     pixels = seen(points, cameras) + rng.normal(size=(2, 40, 2))
     result, _ = triangulate(pixels, isotropic(1.0, 2, 40), [LINEMOD_K] * 2, cameras)
@@ -57,16 +48,16 @@ def test_near_opencv_and_nearer_in_the_pixels():
     opencv = transform(cameras[0], in_world)
     assert np.abs(result - opencv).max() < 1e-3
 
-    def misfit(points_world: np.ndarray) -> np.ndarray:
+    def squared_errors(points_world: np.ndarray) -> np.ndarray:
         return ((seen(points_world, cameras) - pixels) ** 2).sum(axis=(0, 2))
 
-    ours = misfit(transform(np.linalg.inv(cameras[0]), result))
-    assert (ours <= misfit(in_world) + 1e-9).all()
+    ours = squared_errors(transform(np.linalg.inv(cameras[0]), result))
+    assert (ours <= squared_errors(in_world) + 1e-9).all()
 
 
-def test_cameras_may_differ():
+def test_different_intrinsics():
     rng = np.random.default_rng(2)
-    cameras = [looking_camera(0.0), looking_camera(0.6)]
+    cameras = [camera(0), camera(35)]
     zoomed = np.diag([2.0, 2.0, 1.0]) @ LINEMOD_K
     points = rng.uniform(-0.1, 0.1, (5, 3))
     pixels = np.stack(
@@ -79,10 +70,10 @@ def test_cameras_may_differ():
     np.testing.assert_allclose(result, transform(cameras[0], points), atol=1e-7)
 
 
-def test_covariance_is_that_of_repeated_measurements():
+def test_covariance_matches_monte_carlo():
     """2,000 measurements of one point, as 2,000 points of one call."""
     rng = np.random.default_rng(3)
-    cameras = [looking_camera(0.0), looking_camera(0.5)]
+    cameras = [camera(0), camera(30)]
     point = np.array([0.02, -0.03, 0.05])
     covariances = isotropic(0.7, 2, 2000)
     covariances[1, :, 0, 0] *= 16
@@ -98,24 +89,24 @@ def test_covariance_is_that_of_repeated_measurements():
     np.testing.assert_allclose(result.mean(axis=0), transform(cameras[0], point), atol=5e-4)
 
 
-def test_a_sharper_view_counts_for_more():
+def test_precise_views_have_more_weight():
     rng = np.random.default_rng(4)
-    cameras = [looking_camera(v) for v in (0.0, 0.7, 1.4)]
+    cameras = [camera(v) for v in (0, 40, 80)]
     points = rng.uniform(-0.1, 0.1, (200, 3))
     deviations = np.array([0.5, 0.5, 10.0])
     pixels = seen(points, cameras) + deviations[:, None, None] * rng.normal(size=(3, 200, 2))
     covariances = isotropic(1.0, 3, 200) * deviations[:, None, None, None] ** 2
     truth = transform(cameras[0], points)
-    told, _ = triangulate(pixels, covariances, [LINEMOD_K] * 3, cameras)
-    untold, _ = triangulate(pixels, isotropic(1.0, 3, 200), [LINEMOD_K] * 3, cameras)
+    weighted, _ = triangulate(pixels, covariances, [LINEMOD_K] * 3, cameras)
+    plain, _ = triangulate(pixels, isotropic(1.0, 3, 200), [LINEMOD_K] * 3, cameras)
     assert (
-        np.linalg.norm(told - truth, axis=1).mean()
-        < 0.3 * np.linalg.norm(untold - truth, axis=1).mean()
+        np.linalg.norm(weighted - truth, axis=1).mean()
+        < 0.3 * np.linalg.norm(plain - truth, axis=1).mean()
     )
 
 
 @pytest.mark.parametrize("kind", ["parallel", "diverging", "one camera twice", "one view", "none"])
-def test_open_depth_is_finite_in_front_and_uncertain(kind: str):
+def test_unobservable_depth_is_finite_and_uncertain(kind: str):
     pixels = np.full((2, 3, 2), 300.0)
     cameras = [np.eye(4), np.eye(4) if kind == "one camera twice" else SHIFTED]
     if kind == "diverging":
@@ -132,7 +123,7 @@ def test_open_depth_is_finite_in_front_and_uncertain(kind: str):
         assert np.linalg.norm(project(points, LINEMOD_K) - 300.0, axis=1).max() < 20
 
 
-def test_wrong_inputs_are_named():
+def test_invalid_inputs_raise():
     pixels, covariances = np.zeros((2, 4, 2)), isotropic(1.0, 2, 4)
     cameras, Ks = [np.eye(4), SHIFTED], [LINEMOD_K] * 2
     with pytest.raises(ValueError, match="V >= 2 views"):

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from two_view_pose.pose_estimator.methods import PARTS
 from two_view_pose.pose_estimator.networks.container import NetworkConfig, PoseNetworks
-from two_view_pose.pose_estimator.networks.parts import PARTS
 from two_view_pose.pose_estimator.networks.weights import save_weights
 from two_view_pose.pose_estimator.training.config import TrainEstimatorConfig
 from two_view_pose.pose_estimator.training.train_estimator import start_from
