@@ -18,7 +18,7 @@ def drawn_silhouette(model, T_cam_obj, K, shape):
     sides = np.roll(triangles, -1, axis=1) - triangles
     offsets = pixels[:, None] - triangles[:, :, None]
     cross = sides[:, :, None, 0] * offsets[..., 1] - sides[:, :, None, 1] * offsets[..., 0]
-    inside = np.all(cross >= 0, axis=1) | np.all(turn <= 0, axis=1)
+    inside = np.all(cross >= 0, axis=1) | np.all(cross <= 0, axis=1)
     columns, rows = pixels[inside].astype(int).T
     seen = (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])
     canvas = np.zeros(shape, dtype=bool)
