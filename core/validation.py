@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from numbers import Real
 
 from .errors import InputError
 
 
 def require_within(config: object, low: float, high: float, *names: str, prefix: str = "") -> None:
-    """Checks that fields of ``config`` are finite numbers of ``low`` to ``high``, both included.
+    """Checks that fields of ``config`` are finite numbers in [``low``, ``high``].
 
     Errors name a field with ``prefix`` before it.
 
@@ -23,14 +23,25 @@ def require_within(config: object, low: float, high: float, *names: str, prefix:
 
 
 def require_range(config: object, low: float, high: float, *names: str) -> None:
-    """Checks that fields of ``config`` are pairs (lowest, highest) within ``low`` to ``high``.
+    """Checks that fields of ``config`` are pairs (min, max) within [``low``, ``high``].
 
     Raises:
         InputError: if one is not.
     """
     for name in names:
         value = getattr(config, name)
-        _require(value, low, high, f"{name} must be (lowest, highest) and", value)
+        _require(value, low, high, f"{name} must be (min, max) and", value)
+
+
+def require_choice(config: object, choices: Iterable[str], name: str) -> None:
+    """Checks that a field of ``config`` is one of ``choices``.
+
+    Raises:
+        InputError: if it is not.
+    """
+    value = getattr(config, name)
+    if value not in (allowed := tuple(choices)):
+        raise InputError(f"{name} must be one of {', '.join(allowed)}, got {value!r}")
 
 
 def _require(numbers: Sequence, low: float, high: float, subject: str, value: object) -> None:

@@ -1,10 +1,10 @@
-"""Scenes made by several processes of this machine, each with its own GL context.
+"""A pool of worker processes for scenes, each with its own GL context.
 
-A worker that has come to hold too much memory is replaced by a fresh one, and so is one that died;
-its scene is made again. Each worker is an executor of one process: a pool of several cannot replace
-one of them, and Python's own ``max_tasks_per_child`` hangs in Python 3.11 and 3.12
-(https://github.com/python/cpython/issues/115634). A limit of memory is also what is meant: how much
-a scene leaves behind depends on the driver.
+A worker that dies or holds too much memory is replaced, and a lost scene is retried. Each worker is
+an executor of one process: a pool of several cannot replace one of them, and Python's own
+``max_tasks_per_child`` hangs in Python 3.11 and 3.12
+(https://github.com/python/cpython/issues/115634). The limit is one of memory rather than of tasks
+because how much a scene leaks depends on the driver.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from .memory import release_unused_memory
 
 
 class SceneTask(Protocol):
-    """Makes scenes by their numbers, in one process."""
+    """Generates scenes by number, in one process."""
 
     def make(self, scene_id: int) -> None:
-        """Makes a scene and writes it."""
+        """Generates and writes a scene."""
         ...
 
     def close(self) -> None:
@@ -40,11 +40,11 @@ class SceneTask(Protocol):
 _SINGLE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
-    "LP_NUM_THREADS": "0",  # llvmpipe draws in the worker itself: workers are the parallelism
+    "LP_NUM_THREADS": "0",  # llvmpipe renders in the worker's own thread
 }
 
 MAX_RETRIES = 3
-"""How many workers may die on one scene."""
+"""Workers that may die on one scene."""
 
 
 def run_scenes(
@@ -53,14 +53,14 @@ def run_scenes(
     workers: int,
     worker_memory: float = 0.0,
 ) -> Iterator[int]:
-    """Makes scenes and yields the number of each that is ready.
+    """Generates scenes and yields the number of each finished one.
 
     Args:
-        make_task: called once in each worker; it is pickled. With one worker, or one scene, this
-            process is the worker.
-        scene_ids: which scenes.
-        workers: processes.
-        worker_memory: gigabytes from which on a worker is replaced; 0: never.
+        make_task: called once in each worker; must be picklable. With one worker, or one scene,
+            this process is the worker.
+        scene_ids: numbers of the scenes.
+        workers: number of processes.
+        worker_memory: gigabytes above which a worker is replaced; 0: never.
 
     Raises:
         ChildProcessError: if ``MAX_RETRIES`` workers died on one scene.
@@ -109,7 +109,7 @@ def run_scenes(
 
 
 def memory_in_use() -> int:
-    """Bytes of memory that this process holds; the most it ever held where Linux cannot say."""
+    """Returns the resident memory of this process in bytes; outside of Linux, its peak."""
     if sys.platform == "linux":
         with open("/proc/self/statm", encoding="ascii") as file:
             return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -120,16 +120,16 @@ def memory_in_use() -> int:
 
 
 def new_worker() -> ProcessPoolExecutor:
-    """An executor of one process, which is spawned with its first task and ends with its parent."""
+    """Returns an executor of one process, spawned at its first task; it exits with its parent."""
     spawn = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(1, spawn, initializer=_start_child)
 
 
 @contextmanager
 def single_thread_env() -> Iterator[None]:
-    """Processes that start in here compute and draw with one thread each.
+    """Processes started in this context compute and render with one thread each.
 
-    What the caller's own environment says of threads stays.
+    Environment variables that are already set keep their values.
     """
     added = {name: value for name, value in _SINGLE_THREAD.items() if name not in os.environ}
     os.environ.update(added)
@@ -142,10 +142,10 @@ def single_thread_env() -> Iterator[None]:
 
 @contextmanager
 def without_script() -> Iterator[None]:
-    """Processes that start in here do not run the caller's script again, as spawned ones do.
+    """Processes spawned in this context do not import the caller's script.
 
-    So the script need not say ``if __name__ == "__main__"``; but nothing that it defines may go to
-    them.
+    The script then needs no ``if __name__ == "__main__"``, but nothing that it defines can be
+    pickled to them.
     """
     script = sys.modules["__main__"]
     sys.modules["__main__"] = types.ModuleType("__main__")
@@ -159,7 +159,7 @@ _task: SceneTask | None = None
 
 
 def _make_scene(make_task: Callable[[], SceneTask], scene_id: int) -> int:
-    """In a worker: makes a scene; returns the bytes of memory that the worker holds."""
+    """Generates a scene in a worker; returns the worker's memory in bytes."""
     global _task
     if _task is None:
         _task = make_task()
@@ -169,7 +169,7 @@ def _make_scene(make_task: Callable[[], SceneTask], scene_id: int) -> int:
 
 
 def _replace(worker: ProcessPoolExecutor) -> ProcessPoolExecutor:
-    """A fresh worker, once the old one has given back its memory."""
+    """Returns a new worker after the old one has exited."""
     worker.shutdown()
     return new_worker()
 
@@ -177,8 +177,8 @@ def _replace(worker: ProcessPoolExecutor) -> ProcessPoolExecutor:
 def _start_child() -> None:
     import cv2
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it and ends its workers
-    # A worker whose parent is killed would wait for tasks for ever.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles it and stops its workers
+    # A worker whose parent is killed would wait for tasks forever.
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
 

@@ -1,4 +1,4 @@
-"""The command ``compare``: makes the two tests where missing, then runs the study on them."""
+"""The command ``compare``: renders missing test sets, then runs the study on them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ def compare(config: CompareConfig) -> None:
     """Runs the comparative study and writes results.json, report.html and figures/ to its folder.
 
     Raises:
-        InputError: if no method can be run, there is no such device, or the folder holds another
-            study's tests or outcomes.
-        FileNotFoundError: if there are no such weights.
-        GraphicsUnavailable: if a test has to be rendered and there is no OpenGL to draw with.
+        InputError: if no method can be run, the device is not available, or the folder contains
+            another study's test sets or outcomes.
+        FileNotFoundError: if weights are missing.
+        GraphicsUnavailable: if a test set must be rendered and there is no OpenGL to render with.
     """
     from ...core.results import write_results
     from ...pose_estimator.study.report import write_report

@@ -1,4 +1,4 @@
-"""The command ``doctor``: what works on this machine, and what to install if it does not."""
+"""The command ``doctor``: checks this installation, and says what to install if a check fails."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ _RENDER = "from two_view_pose.envs.simulation import graphics; graphics.check_re
 
 @dataclass(frozen=True)
 class DoctorConfig:
-    """Checks this installation; exits with 1 if something that is needed does not work."""
+    """Checks this installation; exits with 1 if a required check fails."""
 
     quick: bool = False
-    """Only look whether anything renders."""
+    """Only check rendering."""
     json: Path | None = None
-    """Results file with one record a check: 1 works, 0 does not."""
+    """Results file with one record per check: 1 passed, 0 failed."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class Check:
     """The outcome of one check.
 
     Attributes:
-        name: what was checked.
-        passed: whether it works; None if it is only worth knowing.
+        name: of the check.
+        passed: None if it is only information.
         text: what was found, or what to do.
     """
 
@@ -53,7 +53,7 @@ class Check:
 
 
 def check_opengl() -> Check:
-    """Renders one small image in a process of its own, since a broken driver may end it."""
+    """Renders one small image in a subprocess, since a broken driver may crash it."""
     try:
         process = subprocess.run(
             [sys.executable, "-c", _RENDER], capture_output=True, text=True, timeout=120
@@ -64,7 +64,7 @@ def check_opengl() -> Check:
         return Check("OpenGL", True, f"{process.stdout.strip()} renders")
     lines = [line for line in process.stderr.splitlines() if line.strip()]
     if not lines:
-        return Check("OpenGL", False, f"the renderer ended with code {process.returncode}")
+        return Check("OpenGL", False, f"the renderer exited with code {process.returncode}")
     return Check("OpenGL", False, re.sub(r"^[\w.]+(Error|Unavailable): ", "", lines[-1].strip()))
 
 
@@ -78,7 +78,7 @@ def check_machine() -> Iterator[Check]:
 
 
 def check_computing() -> Iterator[Check]:
-    """What networks run on: device, kernels, number format, threads and how these wait."""
+    """Device, kernels, number format, threads and their wait policy of the networks."""
     import torch
 
     from ...core.device import describe, resolve_device
@@ -108,9 +108,9 @@ def check_objects() -> Check:
 
 
 def check_estimator(method: str) -> Check:
-    """Whether the shipped weights load and give a finite pose, and how long one takes.
+    """Loads the shipped weights, checks that a pose is finite and times it, on device ``auto``.
 
-    On the device that ``auto`` means. Each estimate is of views that were never seen before.
+    Each estimate gets new views, so that nothing is cached.
     """
     from ...core.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K, View
     from ...pose_estimator import load
@@ -138,7 +138,7 @@ def check_estimator(method: str) -> Check:
 
 
 def checks(quick: bool) -> Iterator[Check]:
-    """All checks, in the order in which they are worth reading."""
+    """Runs all checks, in the order in which they are printed."""
     if not quick:
         yield from check_machine()
     yield check_opengl()
@@ -150,15 +150,15 @@ def checks(quick: bool) -> Iterator[Check]:
 
 
 def doctor(config: DoctorConfig) -> int:
-    """Prints every check; returns 0, or 1 if something that is needed does not work."""
+    """Prints every check; returns 0, or 1 if one failed."""
     done = []
     for check in checks(config.quick):
-        mark = {True: "ok", False: "FAILS", None: ""}[check.passed]
+        mark = {True: "ok", False: "FAIL", None: ""}[check.passed]
         print(f"{mark:>5}  {check.name}: {check.text}", flush=True)
         done.append(check)
     if config.json is not None:
         records = [
-            {"metric": "works", "value": int(check.passed), "unit": "1", "check": check.name}
+            {"metric": "passed", "value": int(check.passed), "unit": "1", "check": check.name}
             for check in done
             if check.passed is not None
         ]

@@ -1,4 +1,4 @@
-"""The command ``evaluate``: renders held-out scenes where none are given, then measures on them."""
+"""The command ``evaluate``: evaluates on a dataset, or on held-out scenes that it renders."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..simulation.scene_kinds import SCENE_KINDS
 
 
 def evaluate(config: EvaluateConfig) -> None:
-    """Measures an estimator, or the poses of a file, on our scenes or on a BOP dataset.
+    """Evaluates an estimator, or the poses of a file, on rendered scenes or a BOP dataset.
 
     Raises:
         InputError: if the data, the weights or the device are not usable.
@@ -25,8 +25,7 @@ def evaluate(config: EvaluateConfig) -> None:
     if config.score is not None:
         if config.data is None or config.csv is not None:
             raise InputError(
-                f"--score {config.score} goes with --data, the dataset that the poses are of, and "
-                "without --csv"
+                f"--score {config.score} goes with --data, the dataset of the poses, not with --csv"
             )
         root = find_dataset(config.data)
         score_file(config, root, {"dataset": root.name})
@@ -61,7 +60,7 @@ def evaluate(config: EvaluateConfig) -> None:
 
 
 def known_objects(weights: str) -> tuple[str, ...]:
-    """Values of ``generate --objects`` that render the objects that weights know.
+    """Returns values of ``generate --objects`` for the objects of these weights.
 
     Raises:
         FileNotFoundError, ValueError: see ``find_weights`` and ``read_header``.

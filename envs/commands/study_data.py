@@ -1,9 +1,8 @@
-"""The data sets that the comparative study is tested and tuned on.
+"""Test and validation sets of the comparative study.
 
-Frozen: rendering the description of a set gives the same images everywhere. Every scene draws its
-textures, its arrangement and its camera's path from the set's seed and the scene's number, so sets
-of different seeds have nothing in common but the objects. Training sets have seeds of their own: 3
-and 7001 for the weights that ship.
+Every scene samples its textures, arrangement and camera path from the set's seed and the scene's
+number, so sets of different seeds share only the objects. The shipped weights were trained on the
+seeds 3 and 7001.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from ...core.errors import InputError
 from ..datagen.generate import GenerateConfig, generate
 
 LMO_OBJECTS = ("ape", "can", "cat", "driller", "duck", "eggbox", "glue", "holepuncher")
-"""The objects of LM-O, all of them in every heap of the Occlusion-style test."""
+"""The objects of LM-O, all of them in every scene of the Occlusion-style test."""
 
 _LINEMOD = GenerateConfig(
     out=Path("linemod"),
@@ -54,28 +53,28 @@ TEST_SETS = {
         _OCCLUSION, out=Path("occlusion-validation"), scenes=8, seed=9002
     ),
 }
-"""What estimators are measured on, by name: the two tests, and a set like each for tuning.
+"""The two test sets by name, and a validation set like each.
 
 LineMOD-style: each of 13 objects is the target of 26 sequences in light clutter, 4 reference views
-each. Occlusion-style: 40 sequences of 3 reference views past a heap of LM-O's 8 objects, all of
-them targets where at least a tenth of them is seen. Second views follow 1, 5 and 10 frames after
-the reference view. Depth is as a Kinect sees it."""
+each. Occlusion-style: 40 sequences of 3 reference views of dense clutter of LM-O's 8 objects, all
+upright; those with a visible fraction >= 0.1 are targets. Second views follow 1, 5 and 10 frames
+after the reference view. Depth is that of a simulated Kinect."""
 
 
 def ensure_test_set(name: str, root: Path, quick: bool = False, workers: int = 2) -> Path:
-    """Renders what is missing of a test or validation set.
+    """Renders missing scenes of a test or validation set.
 
     Args:
         name: one of :data:`TEST_SETS`.
-        root: the set becomes a folder of this one.
-        quick: a few sequences, enough to see that everything works.
-        workers: processes that render.
+        root: parent folder of the set.
+        quick: only a few sequences, as a smoke test.
+        workers: number of rendering processes.
 
     Returns:
         The folder of the BOP dataset; its split is "test".
 
     Raises:
-        InputError: if there is no such set, or its folder holds something else.
+        InputError: if the set is unknown, or its folder has other settings.
     """
     if name not in TEST_SETS:
         raise InputError(f"test set must be one of {', '.join(TEST_SETS)}, got {name!r}")

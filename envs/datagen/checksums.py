@@ -1,9 +1,8 @@
-"""Checksums of a generated dataset, and checking it.
+"""Writes and verifies the checksums of a generated dataset.
 
-Lists are called ``SHA256SUMS`` and have the form that ``sha256sum -c`` reads. Each scene has one,
-written when the scene is finished; the dataset has one, written when the run is finished, of all
-files outside of the scenes and of the scenes' lists. So the one on top vouches for everything, and
-no list grows with the number of images.
+``SHA256SUMS`` files have the format of ``sha256sum -c``. Each finished scene has one; the finished
+dataset has one of all files outside of the scenes and of the scenes' lists, so that it covers
+everything without growing with the number of images.
 """
 
 from __future__ import annotations
@@ -25,12 +24,7 @@ _LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
 
 
 def write_sums(folder: Path, files: Iterable[str] | None = None) -> None:
-    """Writes the list of a folder.
-
-    Args:
-        folder: where the list goes.
-        files: names within it; None for all that are not hidden.
-    """
+    """Writes the list of ``files`` in a folder; None: of all that are not hidden."""
     names = _files(folder) if files is None else files
     names = [n for n in names if n != SUMS_FILE and not Path(n).name.startswith(".")]
     text = "".join(f"{_digest(folder / name)}  {name}\n" for name in sorted(names))
@@ -38,13 +32,12 @@ def write_sums(folder: Path, files: Iterable[str] | None = None) -> None:
 
 
 def write_dataset_sums(root: Path, split: str, files: Iterable[str]) -> None:
-    """Writes the list on top of a dataset of one split.
+    """Writes the top-level list of a dataset.
 
     Args:
         root: the dataset's folder.
-        split: the split's name; its scenes have lists.
-        files: files and folders next to the split that belong to the dataset; those that are not
-            there are left out.
+        split: name of the split, whose scenes have lists.
+        files: other files and folders of the dataset; missing ones are skipped.
     """
     names = [str(path.relative_to(root)) for path in (root / split).glob(f"*/{SUMS_FILE}")]
     for name in files:
@@ -56,16 +49,14 @@ def write_dataset_sums(root: Path, split: str, files: Iterable[str]) -> None:
 
 
 def read_sums(folder: Path) -> dict[str, str]:
-    """The list of a folder: name -> SHA-256.
-
-    Raises:
-        InputError: if a line is not one of such a list.
-    """
+    """Reads the list of a folder: name -> SHA-256; an InputError if a line is invalid."""
     sums = {}
     for number, line in enumerate((folder / SUMS_FILE).read_text().splitlines(), 1):
         match = _LINE.fullmatch(line)
         if match is None:
-            raise InputError(f"{folder / SUMS_FILE}: line {number} is no checksum: {line[:80]!r}")
+            raise InputError(
+                f"{folder / SUMS_FILE}: line {number} is not a checksum: {line[:80]!r}"
+            )
         sums[match[2]] = match[1]
     return sums
 
@@ -75,15 +66,15 @@ def find_problems(root: Path) -> Iterator[str]:
 
     Yields:
         A line for each file that is missing, changed or extra, such as
-        ``changed train_pbr/000003/rgb/000001.jpg``. Of a scene without its list, the list.
+        ``changed train_pbr/000003/rgb/000001.jpg``. Of a scene without a list, only the list.
 
     Raises:
-        InputError: if there is no such folder, or a list cannot be read.
+        InputError: if the folder is missing, or a list is invalid.
     """
     if not root.is_dir():
         raise InputError(f"there is no dataset to verify: {root} is not a folder")
     if not (root / SUMS_FILE).is_file():
-        yield f"missing {SUMS_FILE}: the run is not finished; the same command finishes it"
+        yield f"missing {SUMS_FILE}: the run is not finished; the same command resumes it"
         return
     listed = read_sums(root)
     scenes = [Path(name).parent for name in listed if Path(name).name == SUMS_FILE]
@@ -102,7 +93,7 @@ def find_problems(root: Path) -> Iterator[str]:
 
 
 def verify(root: Path) -> int:
-    """Checks a dataset and prints what is wrong; returns the number of problems."""
+    """Verifies a dataset, prints its problems and returns their number."""
     count = 0
     for problem in find_problems(root):
         tqdm.write(problem)
@@ -112,12 +103,12 @@ def verify(root: Path) -> int:
 
 
 def _digest(path: Path) -> str:
-    """SHA-256 of a file, 64 hexadecimal digits."""
+    """Returns the SHA-256 of a file, 64 hexadecimal digits."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _files(folder: Path) -> Iterator[str]:
-    """Names of all files below a folder."""
+    """Yields the names of all files below a folder."""
     for path, _, files in os.walk(folder):
         yield from (Path(path, name).relative_to(folder).as_posix() for name in files)

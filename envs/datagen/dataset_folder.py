@@ -1,4 +1,4 @@
-"""The folder of a generated dataset: whose it is, and what killed runs left in it."""
+"""The folder of a generated dataset: its manifest, and temporary files of killed runs."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ from ...core.errors import InputError
 from ...pose_estimator.bop.writer import write_json
 
 _TEMPORARY = re.compile(r"\..+\.(\d+)\.tmp")
-"""The names under which files are written, see ``results.write_atomically``."""
+"""Temporary names of ``files.write_atomically``."""
 
 
 def check_or_write_manifest(
     path: Path, settings: Mapping[str, Any], more: Mapping[str, Any] | None = None
 ) -> None:
-    """Writes a folder's manifest, or checks that the one that is there has the same settings.
+    """Writes a folder's manifest, or checks that an existing one has the same settings.
 
     Args:
-        path: of the manifest; its folder is made where missing.
-        settings: what fixes the content of the folder, plain data.
-        more: what the manifest says besides, which may change from run to run.
+        path: of the manifest; its folder is created if missing.
+        settings: that determine the content of the folder, plain data.
+        more: further entries, which may change from run to run.
 
     Raises:
-        InputError: if the folder holds something that was made with other settings.
+        InputError: if the folder was made with other settings.
     """
-    wanted = json.loads(json.dumps(settings, default=str))  # as they come back from a file
+    wanted = json.loads(json.dumps(settings, default=str))  # as read from a file
     if path.exists():
         before = json.loads(path.read_text())["settings"]
         changed = [k for k in wanted.keys() | before.keys() if before.get(k) != wanted.get(k)]
         if changed:
             raise InputError(
-                f"{path.parent} was begun with other settings: "
+                f"{path.parent} was made with other settings: "
                 + ", ".join(
                     f"{k} is {before.get(k)!r} there, {wanted.get(k)!r} here"
                     for k in sorted(changed)
                 )
-                + "; give another --out, or delete the folder"
+                + "; use another --out, or delete the folder"
             )
     path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, {"settings": wanted, **(more or {})})
 
 
 def remove_leftovers(*folders: Path) -> None:
-    """Removes what runs that were killed left under temporary names, in the folders themselves.
+    """Removes temporary files of killed runs from folders (not recursively).
 
-    Files of a process that still runs are left untouched: it is about to rename them.
+    Files of a running process are left untouched: it is about to rename them.
     """
     for folder in folders:
         for path in folder.iterdir() if folder.is_dir() else ():
@@ -59,7 +59,7 @@ def remove_leftovers(*folders: Path) -> None:
 
 
 def _runs(process: int) -> bool:
-    """Whether another process of this number runs on this machine."""
+    """Returns whether another process with this id runs on this machine."""
     if os.name != "posix":
         return True
     try:

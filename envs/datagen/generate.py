@@ -1,9 +1,8 @@
 """Renders scenes for training and testing estimators, and writes them in BOP format.
 
-One BOP scene is one arrangement of objects, seen by several cameras. Either the first is the
-reference view and the others stand 10 to 75 degrees from it around the target, or they are frames
-of a hand-held camera's sequence, or those of a stereo rig. What a scene holds depends only on the
-seed and its number, so neither the number of workers nor a restart changes a byte.
+One BOP scene is one arrangement of objects, seen by several cameras, see ``scene_plan``. A scene
+depends only on the seed and its number, so neither the number of workers nor a restart changes a
+byte.
 """
 
 from __future__ import annotations
@@ -24,27 +23,26 @@ if TYPE_CHECKING:
 IGNORED_SETTINGS = frozenset(
     ("out", "scenes", "workers", "worker_memory", "shard", "coco", "verify", "json")
 )
-"""Settings that do not change what a scene looks like."""
+"""Settings that do not change the content of a scene."""
 
 _ONLY_WITH = {
     "gaps": ("hand-held", "mixed"),
     "references": ("hand-held", "mixed"),
     "stereo_baseline": ("stereo",),
 }
-"""Settings that mean something with some samplings only."""
+"""Settings that only some samplings use."""
 
 
 def generate(config: GenerateConfig) -> int:
     """Writes models and camera, renders the scenes that are missing, then lists their pairs.
 
     Returns:
-        The exit code: 1 if ``config.verify`` is set and a file is not as it was written, else 0.
+        The exit code: 1 if ``config.verify`` is set and finds problems, else 0.
 
     Raises:
-        InputError: if the folder holds a dataset that was made with other settings, or an object
-            is unknown.
-        GraphicsUnavailable: if there is no OpenGL to draw with.
-        ChildProcessError: if workers die again and again.
+        InputError: if the folder was made with other settings, or an object is unknown.
+        GraphicsUnavailable: if there is no OpenGL to render with.
+        ChildProcessError: if several workers die on one scene.
     """
     from ...core.worker_pool import run_scenes
     from ...pose_estimator.bop.writer import scene_folder
@@ -56,7 +54,7 @@ def generate(config: GenerateConfig) -> int:
         return min(1, verify(config.out))
     objects = dataset_objects(config)
     write_manifest(config, tuple(objects))
-    (config.out / SUMS_FILE).unlink(missing_ok=True)  # it says that the run is finished
+    (config.out / SUMS_FILE).unlink(missing_ok=True)  # it marks a finished run
     _write_models(config, objects)
     part, parts = config.shard
     ids = range(part, config.scenes, parts)
@@ -74,14 +72,10 @@ def generate(config: GenerateConfig) -> int:
 
 
 def write_manifest(config: GenerateConfig, object_names: tuple[str, ...]) -> None:
-    """Writes manifest.json, or checks that the one that is there says the same.
-
-    Args:
-        config: what is to be generated.
-        object_names: names of its objects, the distractors last.
+    """Writes manifest.json, or checks an existing one; the distractors' names come last.
 
     Raises:
-        InputError: if the folder holds a dataset that was made with other settings.
+        InputError: if the folder was made with other settings.
     """
     from ...core.results import versions
     from .checksums import SUMS_FILE
@@ -112,7 +106,7 @@ def _write_models(config: GenerateConfig, objects: Mapping[str, ObjectModel]) ->
 
 
 def _write_lists(config: GenerateConfig) -> None:
-    """Writes what is read back from the finished scenes: pairs, targets, checksums."""
+    """Writes the pairs, targets and checksums of the finished scenes."""
     from ...pose_estimator.bop.dataset import read_dataset
     from ...pose_estimator.bop.pairs import PAIRS_FILE
     from ...pose_estimator.bop.targets import TARGETS_FILE, is_test, write_targets
@@ -126,8 +120,8 @@ def _write_lists(config: GenerateConfig) -> None:
     if is_test(config.split):
         write_targets(read_dataset(out, config.split), range(config.scenes))
     remove_leftovers(out, out / "models", out / "models_eval")
-    beside = ["manifest.json", "camera.json", PAIRS_FILE, "models", "models_eval"]
-    write_dataset_sums(out, config.split, [*beside, TARGETS_FILE])
+    files = ["manifest.json", "camera.json", PAIRS_FILE, TARGETS_FILE, "models", "models_eval"]
+    write_dataset_sums(out, config.split, files)
 
 
 def _report(
@@ -137,7 +131,7 @@ def _report(
     made: Sequence[int],
     seconds: float,
 ) -> None:
-    """Says how much there is, and how quick it was made."""
+    """Prints the number of images and their rate; writes the results file."""
     from ...core.results import write_results
     from .scene_plan import plan_scene
 
@@ -145,11 +139,11 @@ def _report(
     total, new = sum(images.values()), sum(images[i] for i in made)
     print(
         f"{len(scene_ids)} scenes, {total} images in {config.out / config.split}; "
-        f"{new} images made now, {new / seconds:.1f} a second"
+        f"{new} rendered now, {new / seconds:.1f} per second"
     )
     if config.json is not None:
         records = [
-            {"metric": "pictures", "value": total, "unit": "1"},
-            {"metric": "pictures_per_second", "value": new / seconds, "unit": "1/s"},
+            {"metric": "images", "value": total, "unit": "1"},
+            {"metric": "images_per_second", "value": new / seconds, "unit": "1/s"},
         ]
         write_results(config.json, records, command="generate", seed=config.seed)

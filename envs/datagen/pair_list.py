@@ -1,4 +1,4 @@
-"""The two-view pairs of a generated dataset, read back from the disk."""
+"""The two-view pairs of a generated dataset, read from its files."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from .scene_plan import plan_scene, target_names
 
 
 def two_view_pairs(config: GenerateConfig) -> Iterator[BopPair]:
-    """The pairs (reference view, further view) of the written scenes.
+    """Yields the pairs (reference view, second view) of the written scenes.
 
-    Views around the sphere: the pairs whose angle at the target lies within ``config.pair_angles``.
-    Hand-held sequences and stereo rigs: the pairs of the gaps, or of left and right, one entry for
-    each target that the reference view shows; all objects of a heap are targets.
+    Views on the sphere: the pairs whose angle at the target is within ``config.pair_angles``.
+    Hand-held sequences and stereo rigs: the pairs of the gaps, or of left and right, one entry per
+    target that is visible in the reference view; all objects of a ``heap`` scene are targets.
     """
     infos = read_models_info(config.out)
     obj_ids = {str(info.name): obj_id for obj_id, info in infos.items()}
@@ -41,15 +41,15 @@ def two_view_pairs(config: GenerateConfig) -> Iterator[BopPair]:
                 if config.pair_angles[0] <= pair.baseline_deg <= config.pair_angles[1]:
                     yield pair
                 continue
-            for obj_id in _shown(
+            for obj_id in _visible_targets(
                 images[first], targets if SCENE_KINDS[plan.kind].all_targets else [target]
             ):
                 gap = None if plan.stereo else second - first
                 yield replace(pair, target_obj_id=obj_id, gap=gap)
 
 
-def _shown(reference: BopImage, targets: Sequence[int]) -> list[int]:
-    """Those of the targets that can be seen."""
+def _visible_targets(reference: BopImage, targets: Sequence[int]) -> list[int]:
+    """Returns the targets that are visible enough."""
     return [
         a.obj_id
         for a in reference.annotations
@@ -58,7 +58,7 @@ def _shown(reference: BopImage, targets: Sequence[int]) -> list[int]:
 
 
 def _visibility(first: BopImage, second: BopImage) -> dict[int, tuple[float, float]]:
-    """Visible fractions of each object in both views; an image lists all objects of its scene."""
+    """Returns the visible fractions in both views; an image lists all objects of its scene."""
     return {
         a.obj_id: (a.visibility, b.visibility)
         for a, b in zip(first.annotations, second.annotations, strict=True)

@@ -1,8 +1,7 @@
-"""What each scene of a generated dataset is: its kind, its target, its images and their pairs.
+"""Kind, target, frames and pairs of each scene of a generated dataset.
 
-A scene's images are views spread over the sphere around its target, the first of them the
-reference view, or those of a stereo rig that goes round it, or frames of a hand-held camera's
-sequence, several of which are reference views.
+The images of a scene are views on the sphere around its target, the first of them the reference
+view; or pairs of a stereo rig; or frames of a hand-held sequence with several reference views.
 """
 
 from __future__ import annotations
@@ -24,15 +23,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """One scene, before anything is drawn.
+    """What to render of one scene.
 
     Attributes:
         kind: a name of :data:`~.scene_kinds.SCENE_KINDS`.
-        target: name of the object to be found; of some kinds of scenes, all objects are.
-        length: frames of the sequence; None where views are spread over the sphere.
-        frames: numbers of the frames that become images, ascending.
-        pairs: reference view and second view, by number.
-        stereo: whether the images are a rig's, left and right alternating.
+        target: name of the target object; in some kinds of scenes, all objects are targets.
+        length: frames of the hand-held sequence, else None.
+        frames: numbers of the frames that are rendered, ascending.
+        pairs: numbers of reference view and second view.
+        stereo: whether left and right views of a rig alternate.
     """
 
     kind: str
@@ -44,7 +43,7 @@ class ScenePlan:
 
 
 def dataset_objects(config: GenerateConfig) -> dict[str, ObjectModel]:
-    """All objects of a dataset by name, the distractors last.
+    """Loads all objects of a dataset by name, the distractors last.
 
     Raises:
         InputError: if a distractor is a folder of several, or as ``load_objects``.
@@ -60,24 +59,24 @@ def dataset_objects(config: GenerateConfig) -> dict[str, ObjectModel]:
 
 
 def target_names(config: GenerateConfig, names: Sequence[str]) -> Sequence[str]:
-    """Those of a dataset's objects, in the order of :func:`dataset_objects`, that are targets."""
+    """Returns the targets among the objects of a dataset, which end with the distractors."""
     return names[: len(names) - len(config.distractors)]
 
 
 def plan_scene(config: GenerateConfig, scene_id: int, names: Sequence[str]) -> ScenePlan:
-    """What scene ``scene_id`` is; ``names`` are those of the dataset's objects."""
+    """Plans scene ``scene_id`` of a dataset with objects ``names``: kinds and targets alternate."""
     targets = target_names(config, names)
     target = targets[scene_id % len(targets)]
     kinds = SCENE_MIXTURES.get(config.scene, (config.scene,))
-    turn = scene_id // len(targets)
-    kind = kinds[turn % len(kinds)]
+    cycle = scene_id // len(targets)
+    kind = kinds[cycle % len(kinds)]
     if config.sampling == "stereo":
         frames = tuple(range(config.views))
         return ScenePlan(kind, target, None, frames, rig_pairs(config.views), stereo=True)
     hand_held = config.sampling == "hand-held"
     length, references = config.views, config.references
     if config.sampling == "mixed":
-        hand_held = turn // len(kinds) % 2 == 1
+        hand_held = cycle // len(kinds) % 2 == 1
         length, references = 1 + max(config.gaps), 1
     if not hand_held:
         pairs = tuple((0, second) for second in range(1, config.views))
@@ -92,13 +91,7 @@ def plan_scene(config: GenerateConfig, scene_id: int, names: Sequence[str]) -> S
 
 
 def reference_frames(length: int, gaps: Sequence[int], count: int) -> list[int]:
-    """Frames that still have a frame at every gap after them, spread evenly over the sequence.
-
-    Args:
-        length: frames of the sequence.
-        gaps: frames from a reference view to its second views.
-        count: how many are wanted; 0 for all there are.
-    """
+    """Returns ``count`` (0: all) evenly spread frames that have a second view at every gap."""
     possible = length - max(gaps)
     count = min(count or possible, possible)
     return [int(frame) for frame in np.linspace(0, possible - 1, count).round()]

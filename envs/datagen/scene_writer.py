@@ -1,4 +1,4 @@
-"""One scene of a generated dataset: arranged, seen by its cameras, annotated, written."""
+"""Sets up, renders, annotates and writes one scene of a generated dataset."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..simulation.randomization import Randomization
 from ..simulation.renderer import SceneRenderer
 from ..simulation.scene import Scene, SceneConfig, SceneState
 from ..simulation.sensor import SensorState, apply_sensor
-from ..simulation.trajectories.sequence import CENTER_JITTER, draw_path
+from ..simulation.trajectories.sequence import CENTER_JITTER, sample_path
 from ..simulation.trajectories.stereo import rig_frames
 from ..simulation.trajectories.view_spread import spread_views
 from .checksums import SUMS_FILE, write_sums
@@ -26,25 +26,21 @@ from .scene_plan import ScenePlan, dataset_objects, plan_scene
 
 
 class SceneWriter:
-    """Makes the scenes of one dataset; holds a compiled world for each kind of scene.
-
-    Args:
-        config: what the dataset is.
-    """
+    """Generates the scenes of one dataset; caches a compiled world per kind of scene."""
 
     def __init__(self, config: GenerateConfig) -> None:
         self._config = config
         self._objects = dataset_objects(config)
         strong = config.domain_randomization == "strong"
-        randomization = Randomization.busy() if strong else Randomization()
+        randomization = Randomization.strong() if strong else Randomization()
         self._randomization = randomization if config.randomize else Randomization.none()
         self._renderers: dict[str, tuple[Scene, SceneRenderer]] = {}
         self._K = scaled_intrinsics((config.height, config.width), "stretch")
 
     def make(self, scene_id: int) -> None:
-        """Renders scene ``scene_id`` where that is not done, and adds what it lacks.
+        """Renders scene ``scene_id`` if it is missing, and adds missing files.
 
-        The list of checksums is written last: a scene that has one is finished.
+        The checksums are written last: a scene that has them is finished.
         """
         config = self._config
         folder = scene_folder(config.out, config.split, scene_id)
@@ -77,22 +73,22 @@ class SceneWriter:
         config, randomization = self._config, self._randomization
         full = config.annotations == "full"
         scene, renderer = self._world(plan.kind)
-        (depth_rng,) = rng.spawn(1)  # its own: depth changes nothing else
+        (depth_rng,) = rng.spawn(1)  # a separate stream, so that depth changes nothing else
         state = scene.reset(rng, plan.target)
         path = self._path(scene, state, plan, rng)
-        # The frames of a sequence come from one camera, those of a rig from two that are alike.
-        alike = plan.length is not None or plan.stereo
-        sensor = SensorState.draw(randomization.sensor, rng) if alike else None
+        # The frames of a sequence or rig share the sensor parameters.
+        shared = plan.length is not None or plan.stereo
+        sensor = SensorState.sample(randomization.sensor, rng) if shared else None
         for image_id in plan.frames:
             T_cam_world = path[image_id]
             frame = renderer.render(T_cam_world, self._K, depth=config.depth, masks=True)
-            known = annotate(scene, frame, T_cam_world, self._K)
+            truth = annotate(scene, frame, T_cam_world, self._K)
             depth = frame.depth
             if depth is not None and config.depth_noise:
                 depth = apply_depth_sensor(depth, self._K, DepthSensorConfig(), depth_rng)
             valid = None
             if depth is not None and full:
-                valid = [int(np.count_nonzero(whole & (depth > 0))) for whole in known.silhouettes]
+                valid = [int(np.count_nonzero(mask & (depth > 0))) for mask in truth.silhouettes]
             if sensor is None:
                 rgb = apply_sensor(frame.rgb, randomization.sensor, rng)
             else:
@@ -101,23 +97,23 @@ class SceneWriter:
                 rgb=rgb,
                 K=self._K,
                 T_cam_world=T_cam_world,
-                annotations=known.annotations,
-                masks=known.masks if config.masks else None,
+                annotations=truth.annotations,
+                masks=truth.masks if config.masks else None,
                 depth=depth,
                 image_id=image_id,
-                silhouettes=known.silhouettes if config.masks and full else None,
+                silhouettes=truth.silhouettes if config.masks and full else None,
                 px_counts_valid=valid,
             )
 
     def _path(
         self, scene: Scene, state: SceneState, plan: ScenePlan, rng: np.random.Generator
     ) -> Sequence[np.ndarray]:
-        """T_cam_world (4, 4) of every frame, also of those that become no image."""
+        """Returns T_cam_world (4, 4) of every frame, also of those that are not rendered."""
         cameras = CameraRange(
             roll=self._randomization.camera_roll, look_at_noise=self._randomization.look_at_noise
         )
         if plan.length is not None:
-            return list(draw_path(scene, rng, plan.length, cameras))
+            return list(sample_path(scene, rng, plan.length, cameras))
         center = state.T_world_obj[plan.target][:3, 3] + rng.normal(0.0, CENTER_JITTER, 3)
         low, high = np.deg2rad(self._config.view_angles)
         count = self._config.views // 2 if plan.stereo else self._config.views
@@ -127,7 +123,7 @@ class SceneWriter:
 
 
 def is_finished(config: GenerateConfig, scene_id: int) -> bool:
-    """Whether a scene lies on the disk with all that belongs to it."""
+    """Returns whether all files of a scene are written."""
     folder = scene_folder(config.out, config.split, scene_id)
     wanted = (SUMS_FILE, COCO_FILE) if config.coco else (SUMS_FILE,)
     return all((folder / name).exists() for name in wanted)

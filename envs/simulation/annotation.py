@@ -1,4 +1,4 @@
-"""What an image's annotations say of each object: boxes, visible fraction, mask and silhouette."""
+"""Ground-truth annotations of an image: boxes, visible fractions, masks and silhouettes."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ from .scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class FrameAnnotations:
-    """What is known of one image; the lists are in the order of the frame's ``object_names``.
+    """Annotations of one image, in the order of the frame's ``object_names``.
 
     Attributes:
-        annotations: BOP's, of each object.
-        masks: visible pixels, (H, W) bool each.
-        silhouettes: all pixels that the object would cover with nothing before it, (H, W) bool
-            each.
+        annotations: of each object, as in BOP.
+        masks: visible pixels (``mask_visib`` of BOP), (H, W) bool each.
+        silhouettes: pixels of the unoccluded object (``mask`` of BOP), (H, W) bool each.
     """
 
     annotations: list[BopAnnotation]
@@ -34,78 +33,73 @@ class FrameAnnotations:
 def annotate(
     scene: Scene, frame: Frame, T_cam_world: np.ndarray, K: np.ndarray
 ) -> FrameAnnotations:
-    """Annotates an image, drawing the silhouette of each of its objects.
+    """Annotates an image, rendering the silhouette of each of its objects.
 
     Args:
-        scene: as it stood when the image was rendered.
+        scene: unchanged since the image was rendered.
         frame: rendered with masks.
-        T_cam_world: world to OpenCV camera, (4, 4), of the image.
-        K: its camera matrix, (3, 3).
+        T_cam_world: world to OpenCV camera, (4, 4).
+        K: camera matrix, (3, 3).
 
     Raises:
         InputError: if the frame has no masks.
     """
     if frame.instances is None:
         raise InputError("frame must have been rendered with masks=True")
-    assert scene.state is not None
-    known = FrameAnnotations([], [], [])
+    result = FrameAnnotations([], [], [])
     for index, name in enumerate(frame.object_names):
         mask = frame.instances == index
-        T_cam_obj = T_cam_world @ scene.state.T_world_obj[name]
-        annotation, whole = _annotate(scene, name, mask, T_cam_world, T_cam_obj, K)
-        known.annotations.append(annotation)
-        known.masks.append(mask)
-        known.silhouettes.append(whole)
-    return known
+        annotation, silhouette = _annotate(scene, name, mask, T_cam_world, K)
+        result.annotations.append(annotation)
+        result.masks.append(mask)
+        result.silhouettes.append(silhouette)
+    return result
 
 
 def _annotate(
-    scene: Scene,
-    name: str,
-    mask: np.ndarray,
-    T_cam_world: np.ndarray,
-    T_cam_obj: np.ndarray,
-    K: np.ndarray,
+    scene: Scene, name: str, mask: np.ndarray, T_cam_world: np.ndarray, K: np.ndarray
 ) -> tuple[BopAnnotation, np.ndarray]:
-    """An object's annotation, and its silhouette within the image, bool (H, W).
+    """Returns an object's annotation, and its silhouette within the image, bool (H, W).
 
-    The silhouette is drawn alone, in a window that also reaches beyond the image.
+    The object is rendered alone, in a window that may extend beyond the image.
     """
+    assert scene.state is not None
+    T_cam_obj = T_cam_world @ scene.state.T_world_obj[name]
     model = scene.objects[name]
     visible = int(np.count_nonzero(mask))
     left, top, width, height = silhouette_window(model, T_cam_obj, K, mask.shape)
-    whole, box, inside = visible, bounding_box(mask), mask
+    total, box, silhouette = visible, bounding_box(mask), mask
     if width > 0 and height > 0:
         window_K = K - [[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]]
         geom = scene.world.geom(name)
         alone = scene.graphics.silhouette(geom, T_cam_world, window_K, height, width)
         x, y, *size = bounding_box(alone)
         box = NO_BOX if (x, y, *size) == NO_BOX else (x + left, y + top, size[0], size[1])
-        whole = max(whole, int(np.count_nonzero(alone)))
-        # The window lies within one image's size around the image.
+        total = max(total, int(np.count_nonzero(alone)))
+        # The window extends at most one image size beyond the image on each side.
         rows, columns = mask.shape
-        around = np.zeros((3 * rows, 3 * columns), dtype=bool)
-        around[rows + top : rows + top + height, columns + left : columns + left + width] = alone
-        inside = mask | around[rows : 2 * rows, columns : 2 * columns]
+        padded = np.zeros((3 * rows, 3 * columns), dtype=bool)
+        padded[rows + top : rows + top + height, columns + left : columns + left + width] = alone
+        silhouette = mask | padded[rows : 2 * rows, columns : 2 * columns]
     annotation = BopAnnotation(
         obj_id=model.obj_id,
         T_cam_obj=T_cam_obj,
-        visibility=visible / whole if whole else 0.0,
+        visibility=visible / total if total else 0.0,
         bbox_visib=bounding_box(mask),
         bbox_obj=box,
         px_count_visib=visible,
-        px_count_all=whole,
+        px_count_all=total,
     )
-    return annotation, inside
+    return annotation, silhouette
 
 
 def silhouette_window(
     model: ObjectModel, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, ...]
 ) -> tuple[int, int, int, int]:
-    """Left, top, width, height in pixels of a window that holds the object's silhouette.
+    """Returns left, top, width, height in pixels of a window that contains the silhouette.
 
-    As in BOP, what is more than an image's width or height outside of the image is cut off.
-    An object that reaches behind the camera gets the largest window.
+    As in BOP, it is clipped one image size beyond the image on each side. An object that extends
+    behind the camera gets the largest window.
     """
     height, width = shape
     limits = np.array([[-width, -height], [2 * width, 2 * height]])

@@ -1,4 +1,4 @@
-"""What stands where on the table: the records, and what all ways of arranging share."""
+"""Placement of props on the table: records and sampling shared by all scene kinds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LMO_VISIBILITY = ((0.0, 0.05, 0.25, 0.5, 0.75, 1.0), (0.08, 0.17, 0.63, 0.88, 0.
 
 @dataclass(frozen=True, eq=False)
 class Prop:
-    """Something on the table; ``size`` is MuJoCo's geom size of a plain shape, else None."""
+    """An object or plain shape on the table; ``size`` is a shape's MuJoCo geom size, else None."""
 
     placed: PlacedObject
     size: np.ndarray | None = None
@@ -24,30 +24,30 @@ class Prop:
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """Everything on the table: objects by name, plain shapes by number."""
+    """All props on the table: objects by name, plain shapes by number."""
 
     objects: dict[str, Prop]
     shapes: dict[int, Prop]
 
     def rotated(self, center: np.ndarray, angle: float) -> Arrangement:
-        """All of it turned by ``angle`` radians about ``center`` (2,)."""
+        """Returns all props rotated by ``angle`` radians about ``center`` (2,)."""
 
-        def turn(prop: Prop) -> Prop:
+        def rotate(prop: Prop) -> Prop:
             return replace(prop, placed=prop.placed.rotated(center, angle))
 
         return Arrangement(
-            {name: turn(prop) for name, prop in self.objects.items()},
-            {i: turn(prop) for i, prop in self.shapes.items()},
+            {name: rotate(prop) for name, prop in self.objects.items()},
+            {i: rotate(prop) for i, prop in self.shapes.items()},
         )
 
     def with_prop(self, key: str | int, prop: Prop) -> Arrangement:
-        """``prop`` is added, or moved if it was there; what it would touch is removed."""
+        """Returns this with ``prop`` added or moved, and props that collide with it removed."""
 
-        def stays(name: str | int, other: Prop) -> bool:
+        def keep(name: str | int, other: Prop) -> bool:
             return name != key and is_collision_free(other.placed, [prop.placed])
 
-        objects = {name: p for name, p in self.objects.items() if stays(name, p)}
-        shapes = {i: p for i, p in self.shapes.items() if stays(i, p)}
+        objects = {name: p for name, p in self.objects.items() if keep(name, p)}
+        shapes = {i: p for i, p in self.shapes.items() if keep(i, p)}
         if isinstance(key, str):
             objects[key] = prop
         else:
@@ -58,26 +58,26 @@ class Arrangement:
         """All props."""
         return [prop.placed for prop in (*self.objects.values(), *self.shapes.values())]
 
-    def middle(self) -> np.ndarray:
-        """The point in the middle of all objects, (3,) meters, world."""
+    def center(self) -> np.ndarray:
+        """Returns the center of all objects, (3,) meters, world."""
         placed = [prop.placed for prop in self.objects.values()]
         xy = np.mean([p.xy for p in placed], axis=0)
         return np.append(xy, np.mean([p.rest.height for p in placed]) / 2)
 
     def clearance(self, points: np.ndarray) -> float:
-        """How far points (N, 3) stay away from all props, as upright cylinders; meters."""
-        nearest = np.inf
+        """Returns the smallest distance of points (N, 3) to props as cylinders, meters."""
+        clearance = np.inf
         for placed in self.placed():
-            beside = np.linalg.norm(points[:, :2] - placed.xy, axis=1) - placed.rest.radius
+            lateral = np.linalg.norm(points[:, :2] - placed.xy, axis=1) - placed.rest.radius
             above = points[:, 2] - placed.rest.height
-            nearest = min(nearest, float(np.maximum(beside, above).min()))
-        return nearest
+            clearance = min(clearance, float(np.maximum(lateral, above).min()))
+        return clearance
 
 
 def sample_shape_size(rng: np.random.Generator, kind: str, tall: bool = False) -> np.ndarray:
-    """A plain shape's size as MuJoCo's geom size, (3,) meters.
+    """Samples the MuJoCo geom size of a plain shape, (3,) meters.
 
-    Tall boxes and cylinders, up to 0.4 m, hide what is beside them; spheres are never tall.
+    Tall boxes and cylinders, up to 0.4 m, occlude their neighbors; spheres are never tall.
     """
     if kind == "box":
         if tall:
@@ -92,21 +92,21 @@ def sample_shape_size(rng: np.random.Generator, kind: str, tall: bool = False) -
 def sample_resting_pose(
     rng: np.random.Generator, poses: list[StablePose], upright_probability: float
 ) -> StablePose:
-    """The first pose, upright, with this probability, else any of the others."""
+    """Samples the first pose (upright) with this probability, else any of the others."""
     if len(poses) == 1 or rng.uniform() < upright_probability:
         return poses[0]
     return poses[1 + rng.integers(len(poses) - 1)]
 
 
 def probe_camera(points: np.ndarray, size: int) -> np.ndarray | None:
-    """The camera (3, 3) of a small square image that holds all that LineMOD's camera sees.
+    """Returns K (3, 3) of a square crop of LineMOD's camera that contains the points.
 
     Args:
-        points: what is to be seen, (N, 3) meters, camera frame.
+        points: (N, 3) meters, camera frame.
         size: side of the image in pixels.
 
     Returns:
-        K, or None where all the points lie behind the camera.
+        K, or None if all points lie behind the camera.
     """
     uv = project(points[points[:, 2] > 0.05], LINEMOD_K)
     if len(uv) == 0:
@@ -123,14 +123,9 @@ def framing_camera(
     points: np.ndarray,
     tries: int,
 ) -> np.ndarray:
-    """A camera (4, 4) whose image holds all points (N, 3) of the world, or most of them.
+    """Samples a camera (4, 4) whose image contains all world points (N, 3), or most of them.
 
-    Args:
-        cameras: where it may stand around ``center``.
-        rng: draws it.
-        center: (3,) meters.
-        points: what should be in the image.
-        tries: cameras to draw at most; the best one is taken.
+    At most ``tries`` cameras are sampled from the range around ``center`` (3,); the best is kept.
     """
     height, width = LINEMOD_IMAGE_SIZE
     best, best_outside = None, np.inf

@@ -1,4 +1,4 @@
-"""Cameras that look at the table: placing them, and handing them to OpenGL.
+"""Cameras that look at the table: sampling their poses, and conversion to OpenGL.
 
 Everywhere else cameras are OpenCV's (x right, y down, z forward). OpenGL's (x right, y up, z
 backward) exists in :func:`opencv_to_opengl` and :func:`frustum` alone.
@@ -18,28 +18,21 @@ _FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def opencv_to_opengl(T_cam_world: np.ndarray) -> np.ndarray:
-    """The same camera in OpenGL's convention; the map is its own inverse.
-
-    Args:
-        T_cam_world: world to OpenCV camera, (4, 4).
-
-    Returns:
-        World to OpenGL camera, (4, 4).
-    """
+    """Converts world to OpenCV camera (4, 4) to world to OpenGL camera, and back."""
     return _FLIP_YZ @ T_cam_world
 
 
 def frustum(
     K: np.ndarray, height: int, width: int, near: float
 ) -> tuple[float, float, float, float]:
-    """The sides (left, right, bottom, top) of OpenGL's frustum on its near plane, in meters.
+    """Returns (left, right, bottom, top) of OpenGL's frustum on its near plane, in meters.
 
     The center of the top-left pixel is (0, 0), so the image begins half a pixel before it.
 
     Args:
-        K: camera matrix without skew, (3, 3), pixels.
-        height: height of the image in pixels.
-        width: width of the image in pixels.
+        K: camera matrix, (3, 3), pixels.
+        height: of the image, pixels.
+        width: of the image, pixels.
         near: distance of the near plane, meters.
 
     Raises:
@@ -55,12 +48,12 @@ def frustum(
 
 
 def look_at(position: np.ndarray, target: np.ndarray, roll: float = 0.0) -> np.ndarray:
-    """A camera at ``position`` whose optical axis goes through ``target``.
+    """Returns the pose of a camera at ``position`` whose optical axis goes through ``target``.
 
     Args:
         position: (3,) meters, world.
         target: (3,) meters, world.
-        roll: turn about the optical axis in radians; at 0 the image's rows are level.
+        roll: rotation about the optical axis in radians; at 0 the image's rows are level.
 
     Returns:
         T_cam_world (4, 4).
@@ -71,7 +64,7 @@ def look_at(position: np.ndarray, target: np.ndarray, roll: float = 0.0) -> np.n
     forward = np.asarray(target, dtype=np.float64) - position
     length = np.linalg.norm(forward)
     if length < 1e-9:
-        raise InputError(f"a camera at {position} cannot look at the point where it stands")
+        raise InputError(f"a camera at {position} cannot look at its own position")
     forward /= length
     right = np.cross(forward, (0.0, 0.0, 1.0))
     if np.linalg.norm(right) < 1e-9:  # straight up or down: any level direction will do
@@ -84,12 +77,12 @@ def look_at(position: np.ndarray, target: np.ndarray, roll: float = 0.0) -> np.n
 
 
 def camera_center(T_cam_world: np.ndarray) -> np.ndarray:
-    """Where cameras (..., 4, 4) are in the world, (..., 3), meters."""
+    """Returns the centers (..., 3) of cameras (..., 4, 4) in the world, meters."""
     return invert(T_cam_world)[..., :3, 3]
 
 
 def sphere_direction(azimuth: float, elevation: float) -> np.ndarray:
-    """The unit vector (3,) of an azimuth from +x towards +y and an elevation, radians."""
+    """Returns the unit vector (3,) of an azimuth from +x towards +y and an elevation, radians."""
     level = np.cos(elevation)
     return np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
 
@@ -97,14 +90,14 @@ def sphere_direction(azimuth: float, elevation: float) -> np.ndarray:
 def view_sphere_pose(
     center: np.ndarray, distance: float, azimuth: float, elevation: float, roll: float = 0.0
 ) -> np.ndarray:
-    """A camera on the sphere around ``center`` that looks at ``center``.
+    """Returns the pose of a camera on the sphere around ``center`` that looks at ``center``.
 
     Args:
         center: (3,) meters, world.
         distance: radius of the sphere in meters.
         azimuth: angle in the table's plane from +x towards +y, radians.
         elevation: angle above the table's plane, radians.
-        roll: turn about the optical axis, radians.
+        roll: rotation about the optical axis, radians.
 
     Returns:
         T_cam_world (4, 4).
@@ -115,15 +108,15 @@ def view_sphere_pose(
 
 @dataclass(frozen=True)
 class CameraRange:
-    """Where a camera may stand around a point, and how far it may look past it.
+    """Range of camera poses around a point; all pairs are (min, max).
 
     Attributes:
-        distance: nearest and farthest, meters.
-        elevation: lowest and highest, radians.
-        azimuth: from and to, radians.
-        roll: largest turn about the optical axis to either side, radians.
-        look_at_noise: how far the optical axis may pass the point, as the tangent of the angle,
-            vertically; horizontally 1.3 times as far, as images are wider than high.
+        distance: meters.
+        elevation: radians.
+        azimuth: radians.
+        roll: largest rotation about the optical axis to either side, radians.
+        look_at_noise: largest offset of the optical axis from the point, as the tangent of the
+            angle, vertically; horizontally 1.3 times as much, as images are wider than high.
     """
 
     distance: tuple[float, float] = (0.6, 1.4)
@@ -141,7 +134,7 @@ class CameraRange:
             raise InputError(f"distance must be positive, got {self.distance}")
 
     def sample(self, rng: np.random.Generator, center: np.ndarray) -> np.ndarray:
-        """Draws a camera at a distance, azimuth and elevation from ``center``; T_cam_world."""
+        """Samples T_cam_world (4, 4) of a camera around ``center`` (3,)."""
         distance = rng.uniform(*self.distance)
         azimuth = rng.uniform(*self.azimuth)
         elevation = rng.uniform(*self.elevation)
@@ -153,17 +146,14 @@ class CameraRange:
     def sample_aim(
         self, rng: np.random.Generator, center: np.ndarray, distance: float, straight: np.ndarray
     ) -> np.ndarray:
-        """Draws the point (3,) to look at instead of ``center``, beside it by the look-at noise.
+        """Samples the point (3,) to look at: ``center`` (3,) with look-at noise.
 
-        Args:
-            rng: draws it.
-            center: (3,) meters, world.
-            distance: of the camera from it, meters.
-            straight: T_cam_world (4, 4) of the camera if it looked at ``center``.
+        The camera is ``distance`` meters away; ``straight`` is its T_cam_world (4, 4) if it looked
+        at ``center``.
         """
         offset = self.look_at_noise * distance * rng.uniform((-1.3, -1.0), (1.3, 1.0))
         return center + offset @ straight[:2, :3]
 
 
 CAMERA_RANGE = CameraRange()
-"""Where the camera may go around the object: 0.6 to 1.4 m, 7 to 82 degrees of elevation."""
+"""Range of the camera around the object: 0.6 to 1.4 m, 7 to 82 degrees of elevation."""

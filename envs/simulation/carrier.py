@@ -1,6 +1,6 @@
-"""What carries the camera, and how well it knows where the camera is.
+"""Camera motion, and the error of the camera poses that the estimator is given.
 
-The environment asks its carrier for every camera motion. Today the camera flies freely; an arm
+The environment moves its camera through a carrier. The default one reaches every pose; a robot arm
 with reach and joint limits is another class with the same two methods.
 """
 
@@ -20,7 +20,7 @@ from .camera import camera_center
 
 @dataclass(frozen=True)
 class PoseNoise:
-    """Error of the relative camera pose that the estimator is told (hand-eye calibration).
+    """Noise of the relative camera pose that the estimator is given (hand-eye calibration).
 
     Attributes:
         rotation_deg: standard deviation of the rotation about each axis, degrees.
@@ -51,7 +51,7 @@ class PoseNoise:
         )
 
     def perturb(self, T_cam_world: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """A noisy reading of a camera pose, (4, 4); always six draws from ``rng``."""
+        """Returns a noisy camera pose (4, 4); always takes six draws from ``rng``."""
         draws = rng.standard_normal(6)
         rotation = Rotation.from_rotvec(np.deg2rad(self.rotation_deg) * draws[:3])
         return make_transform(rotation.as_matrix(), self.translation * draws[3:]) @ T_cam_world
@@ -59,11 +59,11 @@ class PoseNoise:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Where a motion ended and what it cost.
+    """Result of a camera motion.
 
     Attributes:
-        T_cam_world: the camera pose that was reached, (4, 4).
-        travel: length of the path of the camera's center, meters.
+        T_cam_world: the pose that was reached, (4, 4).
+        travel: path length of the camera center, meters.
     """
 
     T_cam_world: np.ndarray
@@ -71,14 +71,14 @@ class Motion:
 
 
 class Carrier(Protocol):
-    """What moves the camera from one view to the next."""
+    """Moves the camera from one view to the next."""
 
     def place(self, T_cam_world: np.ndarray) -> None:
         """Starts an episode with the camera at ``T_cam_world`` (4, 4)."""
         ...
 
     def move(self, T_cam_world: np.ndarray) -> Motion:
-        """Moves the camera to ``T_cam_world`` (4, 4), or as near as the carrier can get."""
+        """Moves the camera to ``T_cam_world`` (4, 4), or as close as the carrier can get."""
         ...
 
 
@@ -89,19 +89,11 @@ class FreeFlyingCarrier:
         self._T_cam_world = np.eye(4)
 
     def place(self, T_cam_world: np.ndarray) -> None:
-        """Starts an episode with the camera at ``T_cam_world`` (4, 4).
-
-        Raises:
-            InputError: if the pose is not a rigid transform.
-        """
+        """Starts an episode; an InputError if the pose is not a rigid transform."""
         self._T_cam_world = check_rigid(T_cam_world, "T_cam_world").copy()
 
     def move(self, T_cam_world: np.ndarray) -> Motion:
-        """Moves the camera to ``T_cam_world`` (4, 4).
-
-        Raises:
-            InputError: if the pose is not a rigid transform.
-        """
+        """Moves the camera; an InputError if the pose is not a rigid transform."""
         start = camera_center(self._T_cam_world)
         self.place(T_cam_world)
         travel = float(np.linalg.norm(camera_center(self._T_cam_world) - start))
@@ -109,13 +101,13 @@ class FreeFlyingCarrier:
 
 
 def angle_at(center: np.ndarray, T_cam_world: np.ndarray, T_other_world: np.ndarray) -> float:
-    """Angle in degrees at ``center`` (3,) between the directions to two cameras (4, 4)."""
+    """Returns the angle in degrees at ``center`` (3,) between two cameras (4, 4)."""
     first, last = camera_center(T_cam_world) - center, camera_center(T_other_world) - center
     sine, cosine = np.linalg.norm(np.cross(first, last)), first @ last
     return float(np.rad2deg(np.arctan2(sine, cosine)))
 
 
 def directions_from(center: np.ndarray, T_cam_world: np.ndarray) -> np.ndarray:
-    """Unit vectors (..., 3) from points (..., 3) of the world to cameras (..., 4, 4)."""
+    """Returns unit vectors (..., 3) from world points (..., 3) to cameras (..., 4, 4)."""
     offset = camera_center(T_cam_world) - center
     return offset / np.linalg.norm(offset, axis=-1, keepdims=True)

@@ -1,8 +1,8 @@
-"""What a structured-light sensor makes of an exact depth map: noise, steps and holes.
+"""Noise model of a structured-light depth sensor (LineMOD's Kinect): noise, steps and holes.
 
-The sensor is LineMOD's Kinect. Its depth comes from the disparity between a projector and a camera
-beside each other, so it comes in steps that grow with the square of the distance, and is missing
-where the projector does not reach, where a surface is seen edge-on, and beside depth edges.
+Depth is triangulated from the disparity between a projector and a camera. It is quantized in steps
+that grow with the square of the distance, and missing in the projector's shadow, at grazing angles,
+and next to depth edges.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ _GRAZING_SOFTNESS = np.deg2rad(2.0)
 
 @dataclass(frozen=True)
 class DepthSensorConfig:
-    """How the sensor errs.
+    """Parameters of the sensor.
 
     Attributes:
-        axial: standard deviation along z, as a multiple of what Nguyen et al. measured.
-        lateral: standard deviation in pixels of where an edge is seen, likewise a multiple.
-        correlation: standard deviation in pixels of the window that a disparity is matched in:
-            within it errors are alike.
-        disparity_step: smallest difference of disparities, pixels; 0 for no steps.
+        axial: standard deviation along z, as a multiple of Nguyen et al.'s.
+        lateral: standard deviation of edge positions, as a multiple of Nguyen et al.'s.
+        correlation: standard deviation in pixels of the matching window, within which errors are
+            correlated.
+        disparity_step: quantization step of the disparity, pixels; 0 for none.
         baseline: from the camera to the projector on its right, meters; 0 for no shadows.
         grazing: angle in degrees between surface normal and ray at which half the pixels are lost.
-        edge_loss: share of the pixels beside a depth edge that are lost.
-        nearest: least depth that is seen, meters.
-        farthest: largest depth that is seen, meters.
+        edge_loss: fraction of the pixels next to a depth edge that are lost.
+        min_depth: meters.
+        max_depth: meters.
     """
 
     axial: float = 1.0
@@ -45,32 +45,32 @@ class DepthSensorConfig:
     baseline: float = 0.075
     grazing: float = 80.0
     edge_loss: float = 0.5
-    nearest: float = 0.4
-    farthest: float = 5.0
+    min_depth: float = 0.4
+    max_depth: float = 5.0
 
     def __post_init__(self) -> None:
-        names = ("axial", "lateral", "correlation", "disparity_step", "baseline", "nearest")
+        names = ("axial", "lateral", "correlation", "disparity_step", "baseline", "min_depth")
         require_within(self, 0, np.inf, *names)
         require_within(self, 0, 1, "edge_loss")
         if not 0 < self.grazing <= 90:
-            raise InputError(f"grazing must be above 0 and at most 90 degrees, got {self.grazing}")
-        if not self.nearest < self.farthest:
+            raise InputError(f"grazing must be > 0 and <= 90 degrees, got {self.grazing}")
+        if not self.min_depth < self.max_depth:
             raise InputError(
-                f"farthest must be above nearest = {self.nearest}, got {self.farthest}"
+                f"max_depth must be > min_depth {self.min_depth}, got {self.max_depth}"
             )
         if self.disparity_step > 0 and self.baseline == 0:
-            raise InputError("disparity_step needs a baseline above 0, got baseline 0")
+            raise InputError("disparity_step needs a baseline > 0, got 0")
 
 
 def axial_deviation(depth: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """The Kinect's standard deviation along z, meters.
+    """Returns the Kinect's standard deviation along z, meters.
 
     Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction and
     tracking", 3DIMPVT 2012, equations 2 and 3.
 
     Args:
         depth: meters, any shape.
-        angle: between the surface's normal and the ray, radians, same shape.
+        angle: between surface normal and ray, radians, same shape.
     """
     z = np.maximum(depth, 0.1)
     frontal = 0.0012 + 0.0019 * (z - 0.4) ** 2
@@ -80,13 +80,13 @@ def axial_deviation(depth: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def viewing_angles(depth: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """Angles (H, W) in radians between a surface's normals and the rays that see it.
+    """Returns the angles (H, W) in radians between surface normals and viewing rays.
 
-    Slopes are taken to the neighbor on the side where they are smaller, which at the rim of a
-    surface is the neighbor on the same surface.
+    Slopes are the smaller of the two one-sided differences: at the boundary of a surface, the one
+    to the neighbor on the same surface.
     """
     z = np.maximum(depth, 1e-6)
-    slope_u, slope_v = _least_slope(z, 1), _least_slope(z, 0)
+    slope_u, slope_v = _min_slope(z, 1), _min_slope(z, 0)
     rows, columns = np.indices(depth.shape, dtype=np.float32)
     x, y = (columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1]
     across, down = K[0, 0] * slope_u, K[1, 1] * slope_v
@@ -99,16 +99,16 @@ def viewing_angles(depth: np.ndarray, K: np.ndarray) -> np.ndarray:
 def apply_depth_sensor(
     depth: np.ndarray, K: np.ndarray, config: DepthSensorConfig, rng: np.random.Generator
 ) -> np.ndarray:
-    """What the sensor sees of a scene.
+    """Applies the sensor model to an exact depth map.
 
     Args:
-        depth: exact depth along z, (H, W) meters, 0 where there is nothing.
+        depth: exact depth along z, (H, W) meters, 0 where there is none.
         K: camera matrix, (3, 3) pixels.
         config: the sensor.
-        rng: where all noise comes from.
+        rng: source of all noise.
 
     Returns:
-        (H, W) float32 meters, 0 where the sensor sees nothing.
+        (H, W) float32 meters, 0 where depth is missing.
 
     Raises:
         InputError: if the depth map or the camera matrix is invalid.
@@ -117,14 +117,14 @@ def apply_depth_sensor(
     K = check_intrinsics(K)
     angle = viewing_angles(exact, K)
     limit = np.deg2rad(config.grazing)
-    # Neighbors further apart than a surface at the grazing limit would have them are an edge.
-    edge = _jump(exact) > exact * (np.tan(min(limit, 1.55)) / K[0, 0])
+    # A depth edge is a step larger than that of a surface at the grazing limit.
+    edge = _max_step(exact) > exact * (np.tan(min(limit, 1.55)) / K[0, 0])
     seen = _with_jittered_edges(exact, edge, angle, config, rng)
 
     noise = config.axial * axial_deviation(seen, angle)
     focal = K[0, 0] * config.baseline
     if config.disparity_step > 0:
-        # The steps are part of what was measured: they bring a twelfth of their square.
+        # The measured noise includes quantization, whose variance is step^2 / 12.
         step = config.disparity_step * seen**2 / focal
         noise = np.sqrt(np.maximum(noise**2 - config.axial**2 * step**2 / 12, 0))
     out = seen + noise * _smooth_noise(exact.shape, config.correlation, rng)
@@ -136,24 +136,23 @@ def apply_depth_sensor(
     lost = rng.random(exact.shape, np.float32) < 1 / (
         1 + np.exp(np.clip((limit - angle) / _GRAZING_SOFTNESS, -40, 40))
     )
-    lost |= _ragged(edge, config, rng)
+    lost |= _edge_holes(edge, config, rng)
     if config.baseline > 0:
         lost |= projector_shadow(exact, K, config.baseline)
-    lost |= (seen <= 0) | (out < config.nearest) | (out > config.farthest)
+    lost |= (seen <= 0) | (out < config.min_depth) | (out > config.max_depth)
     return np.where(lost, 0, out).astype(np.float32)
 
 
 def projector_shadow(depth: np.ndarray, K: np.ndarray, baseline: float) -> np.ndarray:
-    """Which pixels (H, W) a projector on the camera's right does not light.
+    """Returns which pixels (H, W) a projector on the camera's right does not illuminate.
 
-    Along a row, the projector meets what the camera sees in the same order, but for what lies
-    behind a nearer surface on its right.
+    Along a row, projector columns increase with camera columns, except where a nearer surface on
+    the right casts a shadow.
     """
     columns = np.arange(depth.shape[1], dtype=np.float32)
     in_projector = columns - K[0, 0] * baseline / np.where(depth > 0, depth, np.inf)
-    nearest_right = np.minimum.accumulate(in_projector[:, ::-1], axis=1)[:, ::-1]
-    # A pixel is as wide as its neighbors' spacing: half of that is no shadow.
-    return in_projector > nearest_right + 0.5
+    min_right = np.minimum.accumulate(in_projector[:, ::-1], axis=1)[:, ::-1]
+    return in_projector > min_right + 0.5  # half a pixel is not a shadow
 
 
 def _with_jittered_edges(
@@ -163,8 +162,10 @@ def _with_jittered_edges(
     config: DepthSensorConfig,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Depth whose edges wander (Nguyen et al., equation 1): a pixel near one may see the other
-    surface. Within a surface, the axial noise already says how depth errs."""
+    """Adds lateral noise (Nguyen et al., equation 1): pixels near edges may see the other surface.
+
+    Within a surface, the axial noise already covers it.
+    """
     tilted = np.minimum(angle, np.deg2rad(80.0))
     deviation = config.lateral * (0.8 + 0.035 * tilted / (np.pi / 2 - tilted))
     rows, columns = (
@@ -176,19 +177,21 @@ def _with_jittered_edges(
             strict=True,
         )
     )
-    return np.where(_widened(edge, 3), depth[rows, columns], depth)
+    return np.where(_dilated(edge, 3), depth[rows, columns], depth)
 
 
-def _ragged(edge: np.ndarray, config: DepthSensorConfig, rng: np.random.Generator) -> np.ndarray:
-    """Patches beside depth edges in which the matching fails."""
-    share = norm.cdf(_smooth_noise(edge.shape, config.correlation, rng))
-    return _widened(edge, 1) & (share < config.edge_loss)
+def _edge_holes(
+    edge: np.ndarray, config: DepthSensorConfig, rng: np.random.Generator
+) -> np.ndarray:
+    """Returns patches (H, W) next to depth edges in which the matching fails."""
+    uniform = norm.cdf(_smooth_noise(edge.shape, config.correlation, rng))
+    return _dilated(edge, 1) & (uniform < config.edge_loss)
 
 
 def _smooth_noise(
     shape: tuple[int, ...], correlation: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Normal noise of deviation 1, alike within a window."""
+    """Samples unit-variance Gaussian noise, correlated within a window."""
     noise = rng.standard_normal(shape, dtype=np.float32)
     if correlation == 0:
         return noise
@@ -197,8 +200,8 @@ def _smooth_noise(
     return smooth / np.float32((kernel**2).sum())
 
 
-def _least_slope(z: np.ndarray, axis: int) -> np.ndarray:
-    """The smaller of the differences (H, W) to the neighbors before and after along an axis."""
+def _min_slope(z: np.ndarray, axis: int) -> np.ndarray:
+    """Returns the smaller of the differences (H, W) to the two neighbors along an axis."""
     lines = np.moveaxis(z, axis, 0)
     steps = np.diff(lines, axis=0)
     before = np.concatenate([steps[:1], steps])
@@ -206,12 +209,12 @@ def _least_slope(z: np.ndarray, axis: int) -> np.ndarray:
     return np.moveaxis(np.where(np.abs(before) < np.abs(after), before, after), 0, axis)
 
 
-def _jump(depth: np.ndarray) -> np.ndarray:
-    """Largest difference (H, W) to one of the four neighbors."""
+def _max_step(depth: np.ndarray) -> np.ndarray:
+    """Returns the largest difference (H, W) to the four neighbors."""
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     return np.maximum(cv2.dilate(depth, cross) - depth, depth - cv2.erode(depth, cross))
 
 
-def _widened(mask: np.ndarray, pixels: int) -> np.ndarray:
+def _dilated(mask: np.ndarray, pixels: int) -> np.ndarray:
     square = np.ones((2 * pixels + 1, 2 * pixels + 1), np.uint8)
     return cv2.dilate(mask.astype(np.uint8), square).astype(bool)

@@ -1,7 +1,7 @@
-"""Chooses how to draw without a screen: EGL where it works, else OSMesa.
+"""Selects the back-end for headless rendering: EGL where it works, else OSMesa.
 
-``MUJOCO_GL`` decides where it is set. PyOpenGL binds itself to one platform when it is first
-imported, so nothing here imports it before the first image is wanted.
+``MUJOCO_GL`` overrides it. PyOpenGL binds itself to one platform when it is first imported, so it
+is imported with the first image.
 """
 
 from __future__ import annotations
@@ -20,51 +20,50 @@ _process: int | None = None
 
 
 class GraphicsUnavailable(OSError):
-    """No OpenGL library that draws without a screen was found; the message says what to install."""
+    """No OpenGL library for headless rendering was found; the message says what to install."""
 
 
 try:
     import mujoco as mujoco
-except Exception as error:  # MuJoCo opens the library that MUJOCO_GL names when it is imported
+except Exception as error:  # importing MuJoCo opens the library that MUJOCO_GL names
     _named = os.environ.get("MUJOCO_GL", "").lower().strip()
     if _named not in _LIBRARIES:
         raise
     raise GraphicsUnavailable(
-        f"MUJOCO_GL={_named}, but its library does not load ({error}). Install it with "
+        f"MUJOCO_GL={_named}, but its library cannot be loaded ({error}). Install it with "
         f"apt-get install -y {_LIBRARIES[_named]}, or unset MUJOCO_GL"
     ) from error
 
 
 def backend() -> str | None:
-    """The back-end in use ("egl", "osmesa", ...), or None before the first image."""
+    """Returns the back-end in use ("egl", "osmesa", ...), or None before the first image."""
     return _backend
 
 
 def open_context(width: int, height: int) -> Any:
-    """Opens a GL context of MuJoCo's (it has ``make_current`` and ``free``).
+    """Opens a MuJoCo GL context (it has ``make_current`` and ``free``).
 
     Args:
-        width: width in pixels of the largest image (OSMesa needs to know).
-        height: its height.
+        width: of the largest image, pixels (OSMesa needs it).
+        height: of the largest image, pixels.
 
     Raises:
         GraphicsUnavailable: if no back-end works, or the one that MUJOCO_GL names does not, or in
             a process forked from one that had rendered (OpenGL's threads do not survive a fork,
-            and drawing would wait for them for ever).
+            and rendering would deadlock).
     """
     global _backend, _process
     if _process is not None and _process != os.getpid():
         raise GraphicsUnavailable(
             "this process was forked from one that had already rendered, which OpenGL does not "
-            'survive: start workers with the "spawn" or "forkserver" method, or before the first '
-            "image"
+            'support: start workers with "spawn" or "forkserver", or before the first image'
         )
     wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
     candidates: tuple[str, ...]
     if _backend is not None:
         candidates = (_backend,)
     elif wanted in ("disable", "disabled", "off", "false", "0"):
-        raise GraphicsUnavailable(f"MUJOCO_GL={wanted} switches rendering off; unset it")
+        raise GraphicsUnavailable(f"MUJOCO_GL={wanted} disables rendering; unset it")
     elif platform.system() != "Linux":
         candidates = ("gl_context",)
     elif wanted in ("egl", "osmesa"):
@@ -78,7 +77,7 @@ def open_context(width: int, height: int) -> Any:
         try:
             context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
             context.make_current()
-        except Exception as error:  # PyOpenGL fails in many ways: each means "not this one"
+        except Exception as error:  # PyOpenGL fails in many ways: try the next one
             reasons.append(f"{name}: {type(error).__name__}: {str(error).strip()[:200]}")
             if _backend is None:
                 _forget_platform()
@@ -86,8 +85,7 @@ def open_context(width: int, height: int) -> Any:
             _backend, _process = name, os.getpid()
             return context
     raise GraphicsUnavailable(
-        f"no OpenGL that draws without a screen. Install one: {INSTALL_HINT}. Tried "
-        + "; ".join(reasons)
+        f"no OpenGL for headless rendering. Install one: {INSTALL_HINT}. Tried {'; '.join(reasons)}"
     )
 
 

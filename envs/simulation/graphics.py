@@ -1,7 +1,7 @@
-"""The OpenGL context of a scene: opened late, shared by its renderers, closed in time.
+"""The OpenGL context of a scene, opened with its first image and shared by its renderers.
 
-MuJoCo's classic renderer without multisampling and with a smaller shadow map, which is what makes
-software OpenGL quick.
+MuJoCo's classic renderer without multisampling and with a smaller shadow map, which makes software
+OpenGL fast.
 """
 
 from __future__ import annotations
@@ -20,26 +20,24 @@ from .gl import backend, mujoco, open_context
 from .world import FAR, NEAR, GeomGroup, World, compile_world
 
 SAMPLES = 0
-"""Of multisampling; none is several times faster."""
+"""Samples per pixel for multisampling; none is several times faster."""
 SHADOW_MAP_SIZE = 512
-"""Side of the shadow map in pixels."""
+"""Side of the shadow map, pixels."""
 MAX_SIDE = 4096
-"""Of an image, pixels."""
-_MAX_GEOMS = 200  # at most 255: then a byte tells them apart
+"""Maximum side of an image, pixels."""
+_MAX_GEOMS = 200  # at most 255: segment ids fit a byte
 
 TILE = (480, 640)
-"""Height and width in pixels of the parts in which larger silhouettes are drawn."""
+"""Height and width in pixels of the tiles in which larger silhouettes are rendered."""
 
 
 class Graphics:
-    """The GL context of one scene: made at the first image, in the process that draws it.
-
-    All renderers of a scene share it, so meshes and textures lie in memory once.
+    """The GL context of one scene, created with the first image, in the process that renders it.
 
     Args:
-        world: what is drawn.
-        data: where its bodies are.
-        texture_versions: counts the changes of each texture, (ntex,); what changed is uploaded
+        world: the compiled model.
+        data: poses of its bodies.
+        texture_versions: number of changes of each texture, (ntex,); changed ones are uploaded
             before the next image.
     """
 
@@ -67,10 +65,9 @@ class Graphics:
         groups: tuple[int, ...] = (GeomGroup.MOVABLE, GeomGroup.ROOM),
         shadows: bool = True,
     ) -> mujoco.MjrRect:
-        """Draws into the lower left corner of the buffer; :meth:`read` gets the pixels.
+        """Renders into the lower left corner of the buffer; :meth:`read` returns the pixels.
 
-        The groups are drawn one after another. What lies hidden when it is drawn is not shaded,
-        so the room comes last.
+        The groups are drawn in order. Occluded fragments are not shaded, so the room comes last.
         """
         context = self._ready(height, width)
         scene = self._scene
@@ -101,7 +98,7 @@ class Graphics:
     def read(
         self, rect: mujoco.MjrRect, rgb: bool = True, depth: bool = False
     ) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """The image just drawn: RGB (H, W, 3) uint8 and z-depth (H, W) float32 in meters."""
+        """Returns the last image: RGB (H, W, 3) uint8 and z-depth (H, W) float32 in meters."""
         shape = (rect.height, rect.width)
         pixels = np.empty((*shape, 3), dtype=np.uint8) if rgb else None
         buffer = np.empty(shape, dtype=np.float32) if depth else None
@@ -116,15 +113,15 @@ class Graphics:
         return pixels, buffer
 
     def geoms(self, rect: mujoco.MjrRect, numbers: np.ndarray | None = None) -> np.ndarray:
-        """What is at each pixel of an image drawn with ``segment``, (H, W) int32, else -1.
+        """Returns the geom at each pixel of an image drawn with ``segment``, (H, W) int32, or -1.
 
         Args:
             rect: as :meth:`draw` returned it.
-            numbers: of the model's geoms, (ngeom,); their ids if none are given.
+            numbers: of the model's geoms, (ngeom,); their ids if None.
         """
         pixels, _ = self.read(rect)
         assert pixels is not None and self._scene is not None
-        table = np.full(256, -1, dtype=np.int32)  # a segment, plus one, is a pixel's first byte
+        table = np.full(256, -1, dtype=np.int32)  # segment id + 1 is a pixel's first byte
         for geom in self._scene.geoms[: self._scene.ngeom]:
             if geom.segid >= 0 and geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
                 table[geom.segid + 1] = geom.objid if numbers is None else numbers[geom.objid]
@@ -133,37 +130,32 @@ class Graphics:
     def silhouette(
         self, geom: int, T_cam_world: np.ndarray, K: np.ndarray, height: int, width: int
     ) -> np.ndarray:
-        """Where ``geom`` would be seen with nothing before it, (H, W) bool.
+        """Returns the silhouette of ``geom`` without occlusion, (H, W) bool.
 
-        What is larger than ``TILE`` is drawn in parts: windows reach far beyond the image now and
-        then, and the buffer, which never shrinks, would grow with the largest of them.
+        Images larger than ``TILE`` are rendered in tiles: windows may extend far beyond the image,
+        and the buffer, which never shrinks, would grow with the largest of them.
         """
-        whole = np.zeros((height, width), dtype=bool)
-        for top in range(0, height, TILE[0]):
-            for left in range(0, width, TILE[1]):
-                part = whole[top : top + TILE[0], left : left + TILE[1]]
-                part_K = K - [[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]]
-                part[:] = self._silhouette(geom, T_cam_world, part_K, *part.shape)
-        return whole
-
-    def _silhouette(
-        self, geom: int, T_cam_world: np.ndarray, K: np.ndarray, height: int, width: int
-    ) -> np.ndarray:
+        silhouette = np.zeros((height, width), dtype=bool)
         group = self._world.model.geom_group
         before = int(group[geom])
         group[geom] = GeomGroup.ISOLATED
         try:
-            rect = self.draw(
-                T_cam_world, K, height, width, segment=True, groups=(GeomGroup.ISOLATED,)
-            )
+            for top in range(0, height, TILE[0]):
+                for left in range(0, width, TILE[1]):
+                    tile = silhouette[top : top + TILE[0], left : left + TILE[1]]
+                    tile_K = K - [[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]]
+                    rect = self.draw(
+                        T_cam_world, tile_K, *tile.shape, segment=True, groups=(GeomGroup.ISOLATED,)
+                    )
+                    pixels, _ = self.read(rect)
+                    assert pixels is not None
+                    tile[:] = pixels[..., 0] > 0
         finally:
             group[geom] = before
-        pixels, _ = self.read(rect)
-        assert pixels is not None
-        return pixels[..., 0] > 0
+        return silhouette
 
     def close(self) -> None:
-        """Frees the context; the next image opens another."""
+        """Frees the context; the next image opens a new one."""
         if self._context is not None and self._pid == os.getpid():
             self._gl.make_current()
             self._context.free()
@@ -195,7 +187,7 @@ class Graphics:
             self._uploaded[:] = self._versions
             self._pid = os.getpid()
             if not _open_graphics:
-                # After EGL's own handler, hence run before it: freed while the library lives.
+                # Registered after EGL's own handler, hence run before it.
                 atexit.unregister(_close_all)
                 atexit.register(_close_all)
             _open_graphics.add(self)
@@ -226,15 +218,7 @@ def _close_all() -> None:
 def aim(
     scene: mujoco.MjvScene, T_cam_world: np.ndarray, K: np.ndarray, height: int, width: int
 ) -> None:
-    """Points MuJoCo's cameras of an updated scene where an OpenCV camera looks.
-
-    Args:
-        scene: its cameras are changed.
-        T_cam_world: world to OpenCV camera, (4, 4).
-        K: camera matrix in pixels, (3, 3).
-        height: of the image, pixels.
-        width: of the image, pixels.
-    """
+    """Sets the cameras of MuJoCo's scene to an OpenCV camera T_cam_world (4, 4), K (3, 3)."""
     T_world_camera = invert(opencv_to_opengl(T_cam_world))
     left, right, bottom, top = frustum(K, height, width, NEAR)
     for camera in scene.camera:
@@ -248,10 +232,10 @@ def aim(
 
 
 def check_rendering() -> None:
-    """Renders a table in a small image and prints the name of the OpenGL back-end.
+    """Renders a small image of a table and prints the name of the OpenGL back-end.
 
     Raises:
-        GraphicsUnavailable: if there is no OpenGL to draw with.
+        GraphicsUnavailable: if there is no OpenGL to render with.
         RuntimeError: if the image is empty.
     """
     world = compile_world({})
@@ -261,5 +245,5 @@ def check_rendering() -> None:
     image, _ = graphics.read(graphics.draw(view_sphere_pose(np.zeros(3), 2.0, 0.5, 0.5), K, 32, 32))
     assert image is not None
     if image.std() < 1:
-        raise RuntimeError(f"{backend()} opens, but its image is empty")
+        raise RuntimeError(f"{backend()} renders an empty image")
     print(backend())

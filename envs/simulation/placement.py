@@ -1,7 +1,7 @@
-"""Puts objects and plain shapes on the table: each in a stable pose, none touching another.
+"""Places objects and plain shapes on the table in stable poses without collisions.
 
-They are kept apart by their footprints, the convex hulls of their shadows straight down. That is
-stricter than need be (nothing reaches over anything), exact, and takes microseconds.
+Collisions are tested between footprints, the convex hulls of the vertical projections. That is
+conservative (nothing overhangs anything), exact, and takes microseconds.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from ...core.geometry import make_transform, transform
 from .world import TABLE_HALF
 
 GAP = 0.003
-"""Smallest distance between two footprints, meters."""
+"""Minimum distance between two footprints, meters."""
 MIN_SUPPORT_MARGIN = 0.003
-"""How far inside its support polygon the center of mass of a resting object is, meters."""
+"""Minimum distance of the center of mass from the edge of the support polygon, meters."""
 
 
 @dataclass(frozen=True, eq=False)
 class StablePose:
-    """A pose in which something rests on the table, its footprint centered on the origin.
+    """A stable pose on the table, its footprint centered on the origin.
 
     Attributes:
         T_table_obj: (4, 4) meters.
-        footprint: corners of its convex footprint, counter-clockwise, (M, 2) meters.
-        radius: of the circle around the origin that holds the footprint, meters.
+        footprint: corners of the convex footprint, counter-clockwise, (M, 2) meters.
+        radius: of the circle around the origin that contains the footprint, meters.
         height: meters.
     """
 
@@ -42,12 +42,12 @@ class StablePose:
 
 @dataclass(frozen=True, eq=False)
 class PlacedObject:
-    """An object or plain shape at a place on the table.
+    """An object or plain shape on the table.
 
     Attributes:
-        rest: how it rests.
-        xy: where its footprint's center is, (2,) meters.
-        yaw: its turn about the vertical, radians.
+        rest: its stable pose.
+        xy: center of its footprint, (2,) meters.
+        yaw: rotation about the vertical, radians.
     """
 
     rest: StablePose
@@ -57,23 +57,23 @@ class PlacedObject:
     @property
     def outline(self) -> np.ndarray:
         """Footprint on the table, (M, 2) meters."""
-        return self.rest.footprint @ _turn(self.yaw).T + self.xy
+        return self.rest.footprint @ _rotation(self.yaw).T + self.xy
 
     @property
     def T_world_obj(self) -> np.ndarray:
         """Its pose in the world, (4, 4)."""
-        turn = np.eye(3)
-        turn[:2, :2] = _turn(self.yaw)
-        return make_transform(turn, np.append(self.xy, 0.0)) @ self.rest.T_table_obj
+        rotation = np.eye(3)
+        rotation[:2, :2] = _rotation(self.yaw)
+        return make_transform(rotation, np.append(self.xy, 0.0)) @ self.rest.T_table_obj
 
     def rotated(self, center: np.ndarray, angle: float) -> PlacedObject:
-        """The same after the table turned by ``angle`` radians about ``center`` (2,)."""
-        xy = center + _turn(angle) @ (self.xy - center)
+        """Returns this rotated by ``angle`` radians about ``center`` (2,)."""
+        xy = center + _rotation(angle) @ (self.xy - center)
         return PlacedObject(self.rest, xy, self.yaw + angle)
 
 
 def stable_poses(model: ObjectModel) -> list[StablePose]:
-    """The ways an object rests, upright first; precarious ones are left out."""
+    """Returns the stable poses of an object, upright first, without precarious ones."""
     mesh = trimesh.Trimesh(model.vertices, model.faces)
     upright, *others = model.stable_poses
     stable = [T for T in others if support_margin(mesh, 0.0005, T) > MIN_SUPPORT_MARGIN]
@@ -81,7 +81,7 @@ def stable_poses(model: ObjectModel) -> list[StablePose]:
 
 
 def resting_shape(kind: str, size: np.ndarray) -> StablePose:
-    """How a plain shape stands on the table.
+    """Returns the stable pose of a plain shape.
 
     Args:
         kind: "box", "cylinder" or "sphere".
@@ -101,9 +101,9 @@ def resting_shape(kind: str, size: np.ndarray) -> StablePose:
 
 
 def separated(a: np.ndarray, b: np.ndarray, gap: float = GAP) -> bool:
-    """Whether two convex polygons (M, 2), (N, 2) are at least ``gap`` apart along some edge normal.
+    """Separating axis test: are convex polygons (M, 2), (N, 2) ``gap`` apart along an edge normal?
 
-    This is the separating axis test; near two corners it may ask for a little more than ``gap``.
+    Between two corners it may require slightly more than ``gap``.
     """
     for first, second in ((a, b), (b, a)):
         edges = np.roll(first, -1, axis=0) - first
@@ -116,20 +116,17 @@ def separated(a: np.ndarray, b: np.ndarray, gap: float = GAP) -> bool:
 
 
 def is_collision_free(placed: PlacedObject, others: list[PlacedObject]) -> bool:
-    """Whether ``placed`` keeps its distance from all the others."""
-    outline = None
+    """Returns whether the footprint of ``placed`` is separated from all others."""
     for other in others:
         reach = placed.rest.radius + other.rest.radius + GAP
-        if np.sum((placed.xy - other.xy) ** 2) >= reach * reach:
-            continue
-        outline = placed.outline if outline is None else outline
-        if not separated(outline, other.outline):
+        near = np.sum((placed.xy - other.xy) ** 2) < reach * reach
+        if near and not separated(placed.outline, other.outline):
             return False
     return True
 
 
 def on_table(placed: PlacedObject) -> bool:
-    """Whether the whole footprint is on the table, at least 1 cm from its edge."""
+    """Returns whether the footprint is on the table, at least 1 cm from its edge."""
     return bool(np.all(np.abs(placed.outline) <= np.asarray(TABLE_HALF[:2]) - 0.01))
 
 
@@ -140,19 +137,12 @@ def pack(
     center: np.ndarray,
     min_distance: float = 0.0,
 ) -> PlacedObject | None:
-    """Puts something in a random direction from ``center``, as near as it fits.
+    """Places an object in a random direction from ``center`` (2,), as close as it fits.
 
-    It slides outwards, up to 0.6 m, until it touches nothing.
-
-    Args:
-        rng: draws direction and yaw.
-        rest: how it rests.
-        others: what already stands there.
-        center: (2,) meters.
-        min_distance: where it starts, meters from the center.
+    It moves outwards from ``min_distance`` up to 0.6 m until it collides with none of the others.
 
     Returns:
-        What was placed, or None if there was no room in that direction.
+        The placed object, or None if there is no room in that direction.
     """
     angle, yaw = rng.uniform(-np.pi, np.pi, 2)
     direction = np.array([np.cos(angle), np.sin(angle)])
@@ -175,6 +165,6 @@ def _stable_pose(vertices: np.ndarray, T: np.ndarray) -> StablePose:
     return StablePose(T, outline, radius, float(high - low))
 
 
-def _turn(angle: float) -> np.ndarray:
+def _rotation(angle: float) -> np.ndarray:
     cos, sin = np.cos(angle), np.sin(angle)
     return np.array([[cos, -sin], [sin, cos]])

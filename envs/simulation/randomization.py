@@ -1,4 +1,4 @@
-"""Domain randomization: how much of a scene's look changes from episode to episode."""
+"""Domain randomization of lights, textures, materials, camera and sensor."""
 
 from __future__ import annotations
 
@@ -12,44 +12,32 @@ from ...core.validation import require_range, require_within
 from .camera import sphere_direction
 from .sensor import SensorConfig
 from .textures import PATTERNS, PRINTED, procedural_texture
-from .world import (
-    FLOOR_TEXTURE,
-    LIGHTS,
-    SHAPE_TEXTURE,
-    SHAPE_TEXTURES,
-    TABLE_TEXTURE,
-    WALL_TEXTURE,
-    World,
-)
-
-_ROOM = {"table": TABLE_TEXTURE, "wall": WALL_TEXTURE, "floor": FLOOR_TEXTURE}
+from .world import LIGHTS, ROOM_TEXTURES, SHAPE_TEXTURE, SHAPE_TEXTURES, World
 
 
 @dataclass(frozen=True)
 class Randomization:
-    """What changes between episodes, and by how much.
+    """Ranges of the domain randomization of an episode; all pairs are (min, max).
 
     Attributes:
-        lights: fewest and most lights, 1 to 3.
-        randomize_light_position: whether lights stand elsewhere in every episode.
-        light_elevation: lowest and highest direction of a light seen from the table, radians.
-        light_intensity: smallest and largest intensity of all lights together; at 1 they alone make
-            a white surface white.
-        ambient: smallest and largest intensity of the light from everywhere, on the same scale.
-        color_temperature: how strongly lights turn yellow or blue, 0 to 1.
-        shadow_probability: how often the first light casts shadows.
+        lights: number of lights, 1 to 3.
+        randomize_light_position: whether light positions are sampled.
+        light_elevation: of a light seen from the table, radians.
+        light_intensity: sum of all lights; 1 renders a white surface white.
+        ambient: intensity of ambient light, on the same scale.
+        color_temperature: maximum tint of lights towards yellow or blue, 0 to 1.
+        shadow_probability: probability that the first light casts shadows.
         textures: whether table, walls, floor and plain shapes get new textures and colors.
-        table_patterns: patterns the table is drawn from; one that is named twice is twice as
-            frequent.
-        room_patterns: the same for walls, floor and plain shapes.
-        texture_repeat: fewest and most repeats of the table's texture along its long side.
-        material_jitter: largest change of specularity and shininess, added.
-        brightness_jitter: largest change of an object's brightness, as a fraction.
-        hue_jitter: largest change of an object's single color channels, as a fraction.
-        camera_roll: largest roll of the reference camera, radians.
-        look_at_noise: how far the reference camera's axis may pass the target, as the tangent of
-            the angle.
-        sensor: what the camera's sensor does to images.
+        table_patterns: patterns of the table; repeated names are more likely.
+        room_patterns: patterns of walls, floor and plain shapes.
+        texture_repeat: repeats of the table's texture along its long side.
+        material_jitter: maximum absolute change of specularity and shininess.
+        brightness_jitter: maximum change of an object's brightness, as a fraction.
+        hue_jitter: maximum change of an object's color channels, as a fraction.
+        camera_roll: maximum roll of the reference camera, radians.
+        look_at_noise: maximum offset of the reference camera's axis from the target, as the tangent
+            of the angle.
+        sensor: degradation of images.
     """
 
     lights: tuple[int, int] = (1, 3)
@@ -84,10 +72,12 @@ class Randomization:
                 raise InputError(f"{name} must name a pattern, or textures must be False")
 
     @classmethod
-    def busy(cls) -> Randomization:
-        """What photographs of real desks ask for: posters, magazines and calibration boards lie
-        around, the light is anything, colors of objects are not those of their models, the camera
-        is tilted and its images are noisy."""
+    def strong(cls) -> Randomization:
+        """For sim-to-real transfer to photographs of cluttered desks.
+
+        Posters, magazines and calibration boards as textures, wider ranges of light and object
+        color, camera roll, sensor noise.
+        """
         return cls(
             light_intensity=(0.4, 1.0),
             ambient=(0.28, 0.65),
@@ -108,7 +98,7 @@ class Randomization:
 
     @classmethod
     def none(cls) -> Randomization:
-        """One neutral look: two lights, shadows, plain table, level camera, perfect sensor."""
+        """No randomization: two lights, shadows, plain table, level camera, perfect sensor."""
         return cls(
             lights=(2, 2),
             randomize_light_position=False,
@@ -128,15 +118,10 @@ class Randomization:
 
 
 def apply_randomization(world: World, config: Randomization, rng: np.random.Generator) -> list[int]:
-    """Gives the world a new look in place.
-
-    Args:
-        world: what is changed: lights, materials and textures of its model.
-        config: by how much.
-        rng: where the look comes from.
+    """Randomizes lights, materials and textures of the world's model in place.
 
     Returns:
-        Ids of the textures that changed and must be uploaded again.
+        Ids of the textures that changed and must be uploaded.
     """
     _set_lights(world, config, rng)
     _set_objects(world, config, rng)
@@ -146,23 +131,17 @@ def apply_randomization(world: World, config: Randomization, rng: np.random.Gene
 
 
 def neutral_look(world: World) -> list[int]:
-    """Lights and plain colors for room and shapes: the look of :meth:`Randomization.none`.
-
-    Returns:
-        Ids of the textures that changed.
-    """
+    """Applies :meth:`Randomization.none` with plain colors; returns ids of changed textures."""
     rng = np.random.default_rng(0)
     apply_randomization(world, Randomization.none(), rng)
     colors = {"table": (0.72, 0.70, 0.66), "wall": (0.80, 0.81, 0.80), "floor": (0.45, 0.42, 0.40)}
     changed = []
-    for name, size in _ROOM.items():
+    for name, size in ROOM_TEXTURES.items():
         pair = np.array([colors[name], colors[name]]) * ((1.0,), (0.8,))
         image = procedural_texture(rng, size, "noise" if name == "table" else "plain", pair)
         changed.append(set_texture(world, name, image))
-    for i in range(SHAPE_TEXTURES):
-        changed.append(
-            set_texture(world, f"shape{i}", np.full((SHAPE_TEXTURE, SHAPE_TEXTURE, 3), 215, "u1"))
-        )
+    gray = np.full((SHAPE_TEXTURE, SHAPE_TEXTURE, 3), 215, np.uint8)
+    changed += [set_texture(world, f"shape{i}", gray) for i in range(SHAPE_TEXTURES)]
     for i, material in enumerate(_shape_materials(world)):
         hue = (0.61 * i) % 1.0
         world.model.mat_rgba[material, :3] = colorsys.hsv_to_rgb(hue, 0.45, 0.75)
@@ -170,13 +149,13 @@ def neutral_look(world: World) -> list[int]:
 
 
 def set_texture(world: World, name: str, image: np.ndarray) -> int:
-    """Writes (size, size, 3) uint8 into the texture ``name``; returns its id."""
+    """Copies (size, size, 3) uint8 into the texture ``name``; returns its id."""
     texture_pixels(world, name).reshape(-1, *image.shape)[:] = image
     return world.textures[name]
 
 
 def texture_pixels(world: World, name: str) -> np.ndarray:
-    """The texture ``name`` in the model: (size, size, 3) uint8, a cube's six sides in a column."""
+    """Returns a view of a texture: (size, size, 3) uint8, a cube's six sides in a column."""
     model, texture = world.model, world.textures[name]
     shape = model.tex_height[texture], model.tex_width[texture], 3
     start = model.tex_adr[texture]
@@ -191,7 +170,7 @@ def _set_lights(world: World, config: Randomization, rng: np.random.Generator) -
     spread = float(config.randomize_light_position)
     shares = (1.0 - 0.5 * spread * rng.uniform(0.0, 1.0, LIGHTS)) * (np.arange(LIGHTS) < count)
     shares *= power / shares.sum()
-    # MuJoCo's shadow map speckles a table that it meets obliquely; cameras stand anywhere anyway.
+    # Axis-aligned: MuJoCo's shadow map has artifacts on a table that it meets obliquely.
     azimuth = np.pi / 2 * rng.integers(4) * spread
     shadows = rng.uniform() < config.shadow_probability
     head = model.vis.headlight
@@ -231,7 +210,7 @@ def _set_objects(world: World, config: Randomization, rng: np.random.Generator) 
 def _set_textures(world: World, config: Randomization, rng: np.random.Generator) -> list[int]:
     model = world.model
     changed = []
-    for name, size in _ROOM.items():
+    for name, size in ROOM_TEXTURES.items():
         patterns = config.table_patterns if name == "table" else config.room_patterns
         pattern = patterns[rng.integers(len(patterns))]
         wooden = rng.uniform() < (0.7 if pattern == "wood" else 0.15)
@@ -260,15 +239,11 @@ def _shape_materials(world: World) -> list[int]:
 
 
 def _two_colors(rng: np.random.Generator, contrast: float, wooden: bool) -> np.ndarray:
-    """Two related colors as rooms have them: wood, gray, seldom saturated; (2, 3) in [0, 1]."""
+    """Samples two related colors of furniture: wood, gray, rarely saturated; (2, 3) in [0, 1]."""
     hue = rng.uniform(0.05, 0.11) if wooden else rng.uniform()
     saturation = rng.uniform(0.25, 0.65) if wooden else rng.beta(0.8, 6.0)
     value = rng.uniform(0.25, 0.88)
     other = np.clip(value + rng.choice((-1.0, 1.0)) * rng.uniform(0.05, contrast), 0.08, 0.92)
-    turned = (hue + rng.normal(0.0, 0.03)) % 1.0
-    return np.array(
-        [
-            colorsys.hsv_to_rgb(hue, saturation, value),
-            colorsys.hsv_to_rgb(turned, saturation, other),
-        ]
-    )
+    hues = hue, (hue + rng.normal(0.0, 0.03)) % 1.0
+    pairs = zip(hues, (value, other), strict=True)
+    return np.array([colorsys.hsv_to_rgb(h, saturation, v) for h, v in pairs])

@@ -1,32 +1,29 @@
-"""Images of a scene: RGB, metric depth and instance masks, from any OpenCV camera.
+"""Renders RGB, metric depth and instance masks of a scene from any OpenCV camera.
 
-The pixels are found by the same rasterizer in every pass, so RGB, depth and masks agree to the
-pixel.
+All passes use the same rasterizer, so RGB, depth and masks agree to the pixel.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from ...core.errors import InputError
 from ...core.geometry import LINEMOD_K, check_intrinsics, check_rigid
-from .graphics import MAX_SIDE, Graphics
-from .world import World
+from .graphics import MAX_SIDE
+from .scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One rendered image and what is known of each of its pixels.
+    """One rendered image.
 
     Attributes:
         rgb: (H, W, 3) uint8.
-        depth: (H, W) float32, z in the camera frame in meters; None unless asked for.
-        instances: (H, W) int32, index into ``object_names`` or -1 where there is none of them;
-            None unless asked for.
-        object_names: the objects that stand in the scene.
+        depth: (H, W) float32, z in the camera frame in meters; None unless requested.
+        instances: (H, W) int32, index into ``object_names`` or -1; None unless requested.
+        object_names: objects in the scene.
     """
 
     rgb: np.ndarray
@@ -35,27 +32,11 @@ class Frame:
     object_names: tuple[str, ...]
 
 
-class RenderableScene(Protocol):
-    """What a renderer asks of a scene."""
-
-    world: World
-    graphics: Graphics
-
-    @property
-    def shadows(self) -> bool:
-        """Whether there are shadows."""
-        ...
-
-    def present_objects(self) -> tuple[tuple[str, ...], np.ndarray]:
-        """Names of the objects that are seen, and their geoms."""
-        ...
-
-
 class SceneRenderer:
     """Renders a scene at one image size.
 
     Args:
-        scene: what is drawn, in the state of its last reset.
+        scene: rendered in its current state.
         height: of the images, pixels.
         width: of the images, pixels.
 
@@ -63,7 +44,7 @@ class SceneRenderer:
         InputError: if the size is not between 1 and 4096 pixels.
     """
 
-    def __init__(self, scene: RenderableScene, height: int = 480, width: int = 640) -> None:
+    def __init__(self, scene: Scene, height: int = 480, width: int = 640) -> None:
         for name, side in (("height", height), ("width", width)):
             if not (isinstance(side, int | np.integer) and 1 <= side <= MAX_SIDE):
                 raise InputError(f"{name} must be 1 to {MAX_SIDE} whole pixels, got {side!r}")
@@ -83,14 +64,13 @@ class SceneRenderer:
 
         Args:
             T_cam_world: world to OpenCV camera, (4, 4).
-            K: camera matrix in pixels of this image, (3, 3); ``crop_matrix(...) @ K`` renders a
-                crop directly.
-            depth: also return metric depth.
-            masks: also return instance masks.
+            K: camera matrix, (3, 3) pixels; ``crop_matrix(...) @ K`` renders a crop directly.
+            depth: also render metric depth.
+            masks: also render instance masks.
 
         Raises:
             InputError: if the pose is not rigid or K is not a camera matrix without skew.
-            GraphicsUnavailable: if there is no OpenGL to draw with.
+            GraphicsUnavailable: if there is no OpenGL to render with.
         """
         T_cam_world = check_rigid(T_cam_world, "T_cam_world")
         K = check_intrinsics(K)
@@ -108,7 +88,7 @@ class SceneRenderer:
         return Frame(rgb, z, instances, names)
 
     def close(self) -> None:
-        """Frees the scene's GL context; whoever renders next opens another."""
+        """Frees the scene's GL context; the next image opens a new one."""
         self._scene.graphics.close()
 
     def __enter__(self) -> SceneRenderer:

@@ -1,4 +1,4 @@
-"""A table with a target, clutter and a reference camera: what an episode happens in."""
+"""The scene of an episode: a table with a target, clutter and a reference camera."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from .world import SHAPE_KINDS, GeomGroup, World, compile_world
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """What stands on the table.
+    """Configuration of a scene.
 
     Attributes:
         kind: a name of :data:`~.scene_kinds.SCENE_KINDS`, where all are described.
-        clutter_objects: fewest and most other objects; None takes the kind's own.
-        plain_shapes: fewest and most boxes, cylinders and spheres; None takes the kind's own.
-        upright_probability: how often the target stands upright.
-        clutter_upright_probability: how often each other object does.
-        camera: where the reference camera may stand around the target; roll and look-at noise are
-            taken from the randomization.
+        clutter_objects: minimum and maximum number of other objects; None: the kind's own.
+        plain_shapes: minimum and maximum number of boxes, cylinders and spheres; None: the kind's.
+        upright_probability: of the target.
+        clutter_upright_probability: of each other object.
+        camera: range of the reference camera around the target; roll and look-at noise are those of
+            the randomization.
     """
 
     kind: str = "linemod"
@@ -53,24 +53,24 @@ class SceneConfig:
 
     @property
     def object_count(self) -> tuple[int, int]:
-        """Fewest and most other objects."""
+        """Minimum and maximum number of other objects."""
         return self.clutter_objects or SCENE_KINDS[self.kind].object_count
 
     @property
     def shape_count(self) -> tuple[int, int]:
-        """Fewest and most plain shapes."""
+        """Minimum and maximum number of plain shapes."""
         return self.plain_shapes or SCENE_KINDS[self.kind].shape_count
 
 
 @dataclass(frozen=True, eq=False)
 class SceneState:
-    """What one reset set up.
+    """Ground truth of a scene.
 
     Attributes:
-        target: name of the object to be found.
-        T_world_obj: pose of every object present, target included, (4, 4) each.
+        target: name of the target object.
+        T_world_obj: pose of every object on the table, target included, (4, 4) each.
         T_cam_world: the reference camera, (4, 4).
-        visibility: visible fraction of the target's silhouette in the reference camera.
+        visibility: visible fraction of the target in the reference view.
     """
 
     target: str
@@ -81,17 +81,17 @@ class SceneState:
 
 @dataclass(frozen=True, eq=False)
 class ArrangementRequest:
-    """What a function that arranges scenes is given.
+    """Input of a function that arranges scenes.
 
     It returns the arrangement, T_cam_world (4, 4) of the reference camera, and the visible fraction
     of the target in it.
 
     Attributes:
-        scene: shows arrangements and measures visibility.
-        rng: decides everything.
+        scene: measures the visibility of arrangements.
+        rng: source of all randomness.
         target: name of the target, which is part of every arrangement.
-        cameras: where the reference camera may stand.
-        T_cam_world: the reference camera if it is given, (4, 4).
+        cameras: range of the reference camera.
+        T_cam_world: the reference camera, (4, 4); None: it is sampled.
     """
 
     scene: Scene
@@ -102,16 +102,16 @@ class ArrangementRequest:
 
 
 class Scene:
-    """Objects on a table. Compiled once; every reset only moves, recolors and relights.
+    """Objects on a table. Compiled once; a reset only moves, recolors and relights.
 
     Args:
-        objects: the objects by name; any of them can be the target.
-        config: what stands on the table.
-        randomization: how the look changes between resets.
+        objects: by name; any of them can be the target.
+        config: what is on the table.
+        randomization: domain randomization at each reset.
 
     Attributes:
-        arrangement: what stands on the table now.
-        stable_poses: the ways in which each object rests on the table, upright first.
+        arrangement: the current one.
+        stable_poses: of each object, upright first.
 
     Raises:
         InputError: if there are no objects, or one was stored without its mesh.
@@ -128,8 +128,9 @@ class Scene:
         for name, model in objects.items():
             if not model.has_surface:
                 raise InputError(
-                    f"{name} cannot be drawn: it was stored without its mesh, as with weights for "
-                    "objects that must not be passed on. Name its mesh file (--objects, objects=)"
+                    f"{name} cannot be drawn: it was stored without its mesh, as in weights for "
+                    "objects whose meshes must not be shared. Name its mesh file (--objects, "
+                    "objects=)"
                 )
         self.objects = dict(objects)
         self.config = config or SceneConfig()
@@ -145,12 +146,12 @@ class Scene:
 
     @property
     def object_names(self) -> tuple[str, ...]:
-        """Names of all objects that may appear."""
+        """Names of all objects."""
         return self.world.object_names
 
     @property
     def shadows(self) -> bool:
-        """Whether a light that is on casts shadows."""
+        """Whether an active light casts shadows."""
         model = self.world.model
         return bool(np.any(model.light_castshadow & model.light_active))
 
@@ -160,9 +161,9 @@ class Scene:
         """Sets up a new episode.
 
         Args:
-            rng: decides everything; the same generator state gives the same scene.
-            target: name of the object to be found.
-            T_cam_world: the reference camera, (4, 4); drawn from ``config.camera`` if None.
+            rng: the same generator state gives the same scene.
+            target: name of the target object.
+            T_cam_world: the reference camera, (4, 4); sampled from ``config.camera`` if None.
 
         Raises:
             InputError: if the target is unknown or the camera is not a rigid transform.
@@ -171,8 +172,8 @@ class Scene:
             raise InputError(f"target must be one of {self.object_names}, got {target!r}")
         if T_cam_world is not None:
             T_cam_world = check_rigid(T_cam_world, "T_cam_world")
-        look = np.random.default_rng(rng.integers(2**63))
-        changed = apply_randomization(self.world, self.randomization, look)
+        appearance_rng = np.random.default_rng(rng.integers(2**63))
+        changed = apply_randomization(self.world, self.randomization, appearance_rng)
         self.texture_versions[changed] += 1
         cameras = replace(
             self.config.camera,
@@ -188,32 +189,24 @@ class Scene:
         return self.state
 
     def present_objects(self) -> tuple[tuple[str, ...], np.ndarray]:
-        """Names of the objects that stand on the table, and their geoms."""
+        """Returns the names of the objects on the table, and their geoms."""
         names = tuple(self.state.T_world_obj) if self.state is not None else ()
         return names, np.array([self.world.geom(name) for name in names], dtype=np.int64)
 
     def surface(self, names: Sequence[str]) -> np.ndarray:
-        """The vertices of objects on the table, one after another, (N, 3) meters, world."""
-        poses = [self.arrangement.objects[name].placed.T_world_obj for name in names]
-        models = [self.objects[name] for name in names]
+        """Returns the concatenated vertices of objects on the table, (N, 3) meters, world."""
+        placed = self.arrangement.objects
         return np.concatenate(
-            [transform(T, model.vertices) for T, model in zip(poses, models, strict=True)]
+            [transform(placed[n].placed.T_world_obj, self.objects[n].vertices) for n in names]
         )
 
     def visibility(
         self, names: Sequence[str], T_cam_world: np.ndarray, K: np.ndarray, height: int, width: int
     ) -> np.ndarray:
-        """Visible fractions of objects within an image, (N,).
+        """Returns the visible fractions of N objects in an image, (N,).
 
-        Each is the number of its visible pixels over those of its silhouette with nothing before
-        it, or 0 where that has none.
-
-        Args:
-            names: of the N objects.
-            T_cam_world: world to OpenCV camera, (4, 4).
-            K: camera matrix, (3, 3).
-            height: of the image, pixels.
-            width: of the image, pixels.
+        Each is the number of visible pixels over that of the unoccluded silhouette within the
+        image, or 0 if that is empty.
         """
         rect = self.graphics.draw(
             T_cam_world, K, height, width, segment=True, groups=(GeomGroup.MOVABLE,)
@@ -222,27 +215,21 @@ class Scene:
         fractions = []
         for geom in (self.world.geom(name) for name in names):
             alone = self.graphics.silhouette(geom, T_cam_world, K, height, width)
-            visible, whole = int(np.count_nonzero(seen == geom)), int(np.count_nonzero(alone))
-            fractions.append(visible / max(1, whole))
+            visible, total = int(np.count_nonzero(seen == geom)), int(np.count_nonzero(alone))
+            fractions.append(visible / max(1, total))
         return np.array(fractions)
 
     def probe_visibility(
         self, names: Sequence[str], T_cam_world: np.ndarray, size: int = 96
     ) -> np.ndarray:
-        """Visible fractions of objects in LineMOD's camera, measured in a small crop, (N,).
-
-        Args:
-            names: of the N objects.
-            T_cam_world: world to OpenCV camera, (4, 4).
-            size: side of the square crop that holds them, pixels.
-        """
+        """Returns visible fractions (N,) in LineMOD's camera, measured in a small square crop."""
         K = probe_camera(transform(T_cam_world, self.surface(names)), size)
         if K is None:
             return np.zeros(len(names))
         return self.visibility(names, T_cam_world, K, size, size)
 
     def show(self, arrangement: Arrangement) -> None:
-        """Moves the bodies to an arrangement and hides those that are not part of it."""
+        """Moves the bodies to an arrangement and hides all others."""
         self.arrangement = arrangement
         model, data = self.world.model, self.data
         props: dict[int, Prop] = {
@@ -269,12 +256,12 @@ class Scene:
         mujoco.mj_camlight(model, data)
 
     def close(self) -> None:
-        """Frees the GL context. The scene stays usable; the next image opens another."""
+        """Frees the GL context; the next image opens a new one."""
         self.graphics.close()
 
 
 def _resize(model: mujoco.MjModel, geom: int, size: np.ndarray) -> None:
-    """Gives a box, cylinder or sphere another size, and collision its new bounds."""
+    """Resizes a box, cylinder or sphere and its collision bounds."""
     model.geom_size[geom] = size
     kind = model.geom_type[geom]
     if kind == mujoco.mjtGeom.mjGEOM_BOX:

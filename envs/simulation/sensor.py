@@ -1,4 +1,4 @@
-"""What a real camera does to an image: exposure, white balance, blur, noise, compression."""
+"""Camera sensor model: exposure, white balance, blur, noise, compression."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _NOISE_STRIP = 1 << 15
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """How strongly an image may be degraded; every strength is drawn for each image.
+    """Ranges of image degradations; each strength is sampled per image.
 
     Attributes:
-        exposure: largest change of brightness, as a fraction.
-        white_balance: largest change of the red and of the blue channel, as a fraction.
-        gamma: largest change of the exponent, as a fraction.
-        blur: largest standard deviation of the Gaussian blur, pixels.
-        noise: largest standard deviation of the noise, gray levels.
-        jpeg_probability: how often the image is compressed.
-        jpeg_quality: lowest and highest JPEG quality, 1 to 100.
+        exposure: maximum change of brightness, as a fraction.
+        white_balance: maximum change of the red and of the blue channel, as a fraction.
+        gamma: maximum change of the exponent, as a fraction.
+        blur: maximum standard deviation of the Gaussian blur, pixels.
+        noise: maximum standard deviation of the noise, gray levels.
+        jpeg_probability: of compression.
+        jpeg_quality: minimum and maximum JPEG quality, 1 to 100.
     """
 
     exposure: float = 0.15
@@ -42,20 +42,20 @@ class SensorConfig:
 
     @classmethod
     def none(cls) -> SensorConfig:
-        """A perfect sensor: images pass unchanged."""
+        """Returns a perfect sensor, which leaves images unchanged."""
         return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class SensorState:
-    """What one camera does to the images that it takes.
+    """The sampled sensor parameters of one camera.
 
     Attributes:
-        white: gray level that white becomes in each channel, (3,).
+        white: gray level of white in each channel, (3,).
         gamma: exponent of the tone curve.
         blur: standard deviation of the Gaussian blur, pixels.
         noise: standard deviation of the noise, gray levels.
-        jpeg_quality: 1 to 100, or None for no compression.
+        jpeg_quality: 1 to 100; None for no compression.
     """
 
     white: np.ndarray
@@ -65,8 +65,8 @@ class SensorState:
     jpeg_quality: int | None
 
     @classmethod
-    def draw(cls, config: SensorConfig, rng: np.random.Generator) -> SensorState:
-        """A camera within the limits of ``config``."""
+    def sample(cls, config: SensorConfig, rng: np.random.Generator) -> SensorState:
+        """Samples a camera within the ranges of ``config``."""
         gain = 1.0 + rng.uniform(-config.exposure, config.exposure)
         balance = 1.0 + config.white_balance * rng.uniform(-1.0, 1.0, 3) * (1.0, 0.0, 1.0)
         gamma = 1.0 + rng.uniform(-config.gamma, config.gamma)
@@ -77,15 +77,11 @@ class SensorState:
         return cls(255.0 * gain * balance, gamma, blur, noise, quality if compressed else None)
 
     def resample_blur(self, config: SensorConfig, rng: np.random.Generator) -> SensorState:
-        """The same camera with the blur of another image."""
+        """Returns the same camera with a newly sampled blur."""
         return replace(self, blur=config.blur * rng.uniform())
 
     def apply(self, rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Degrades an image (H, W, 3) uint8 as the camera would; returns a new one.
-
-        Raises:
-            InputError: if the image is not uint8 RGB.
-        """
+        """Returns a degraded copy of an image (H, W, 3) uint8; an InputError if it is not RGB."""
         image = check_image(rgb, "rgb")
         levels = np.linspace(0.0, 1.0, 256)[:, None] ** self.gamma * self.white
         out = cv2.LUT(image, np.clip(np.round(levels), 0, 255).astype(np.uint8)[:, None, :])
@@ -103,24 +99,16 @@ class SensorState:
 
 
 def apply_sensor(rgb: np.ndarray, config: SensorConfig, rng: np.random.Generator) -> np.ndarray:
-    """Degrades an image as a camera would whose settings are drawn for it alone.
-
-    Args:
-        rgb: (H, W, 3) uint8.
-        config: how strongly.
-        rng: where the strengths and the noise come from.
-
-    Returns:
-        A new image, (H, W, 3) uint8.
+    """Returns a copy of an image (H, W, 3) uint8, degraded with newly sampled parameters.
 
     Raises:
         InputError: if the image is not uint8 RGB.
     """
-    return SensorState.draw(config, rng).apply(rgb, rng)
+    return SensorState.sample(config, rng).apply(rgb, rng)
 
 
 def _add_noise(image: np.ndarray, sigma: float, rng: np.random.Generator) -> np.ndarray:
-    """Adds Gaussian noise whose rows are cut anywhere from one strip: cheaper than drawing all."""
+    """Adds Gaussian noise; rows are random windows of one strip, cheaper than sampling all."""
     height, width, channels = image.shape
     row = width * channels
     strip = rng.standard_normal(_NOISE_STRIP + row, dtype=np.float32)

@@ -1,8 +1,7 @@
-"""Simulates the scene of an episode: what stands on the table, and images of it.
+"""Simulates the scene of an episode: sets it up and renders images of it.
 
-An environment has its simulator in its own process. ``TwoViewPoseVectorEnv`` has simulators in
-others (:mod:`studio_workers`): one call sets up a scene, another renders it, and either says all
-that it depends on, so that where it is carried out does not matter.
+An environment runs its simulator in its own process, ``TwoViewPoseVectorEnv`` in worker processes
+(``vector/remote_simulator.py``). Calls depend only on their arguments and the last reset.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from .scene import Scene, SceneConfig
 from .sensor import apply_sensor
 
 MAX_VIEWS = 8
-"""Views that one episode may have, the reference view included."""
+"""Maximum number of views of an episode, the reference view included."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +29,9 @@ class SceneRequest:
     """Which scene to set up.
 
     Attributes:
-        seed: everything that is drawn follows from it.
-        object_name: the target; None draws it.
-        reference_camera: T_cam_world, (4, 4); None draws it.
+        seed: of everything that is sampled.
+        object_name: the target; None: sampled.
+        reference_camera: T_cam_world, (4, 4); None: sampled.
     """
 
     seed: int
@@ -42,11 +41,11 @@ class SceneRequest:
 
 @dataclass(frozen=True, eq=False)
 class SceneInfo:
-    """A scene that was set up.
+    """Ground truth and reference view of a scene.
 
     Attributes:
         object_name: the target.
-        T_world_obj: its true pose, (4, 4).
+        T_world_obj: its pose, (4, 4).
         T_cam_world: the reference camera, (4, 4).
         visibility: visible fraction of the target in the reference view.
         image: the reference view, RGB uint8 (H, W, 3).
@@ -64,10 +63,10 @@ class SceneSimulator:
 
     Args:
         objects: by name; any of them can be the target.
-        scene: what stands on the table.
+        scene: what is on the table.
         randomization: of lights, textures and sensor.
-        resolution: height and width of the images, pixels; see
-            :func:`~.intrinsics.scaled_intrinsics` for other proportions than LineMOD's.
+        resolution: height and width of the images, pixels; cropped to other aspect ratios than
+            LineMOD's, see :func:`~.intrinsics.scaled_intrinsics`.
     """
 
     def __init__(
@@ -85,7 +84,7 @@ class SceneSimulator:
         self._seed = 0
 
     def reset(self, request: SceneRequest) -> SceneInfo:
-        """Sets up a scene in place of the one before, and renders the reference view."""
+        """Sets up a new scene and renders the reference view."""
         rng = episode_generators(request.seed)[0]
         drawn = self._names[int(rng.integers(len(self._names)))]
         name = drawn if request.object_name is None else request.object_name
@@ -100,31 +99,29 @@ class SceneSimulator:
 
         Args:
             T_cam_world: the camera, (4, 4).
-            number: of the view in its episode, from 0; the sensor's noise depends on it.
+            number: of the view in its episode, from 0; selects the stream of the sensor noise.
         """
         image = self._renderer.render(T_cam_world, self._K).rgb
         return apply_sensor(image, self._sensor, episode_generators(self._seed)[2 + number])
 
     def visibility_from(self, T_cam_world: np.ndarray) -> float:
-        """Visible fraction of the target from a camera (4, 4)."""
+        """Returns the visible fraction of the target from a camera (4, 4)."""
         state = self._scene.state
         assert state is not None
         return float(self._scene.probe_visibility([state.target], T_cam_world)[0])
 
     def submit(self, method: str, *arguments: Any) -> Callable[[], Any]:
-        """Prepares a call of a method; what is returned carries it out and returns its result."""
+        """Defers a method call; calling the returned function runs it and returns its result."""
         return partial(getattr(self, method), *arguments)
 
     def close(self) -> None:
-        """Frees the GL context; the next image opens another."""
+        """Frees the GL context; the next image opens a new one."""
         self._renderer.close()
 
 
 def episode_generators(scene_seed: int) -> list[np.random.Generator]:
-    """One stream for each purpose, so that what one of them draws never moves another.
+    """Returns one random stream per purpose: draws from one never change another.
 
-    Returns:
-        For the scene, for the error of the poses that the estimator is given, and for the sensor
-        in each of ``MAX_VIEWS`` views.
+    They are for the scene, the pose noise, and the sensor in each of ``MAX_VIEWS`` views.
     """
     return np.random.default_rng(scene_seed).spawn(2 + MAX_VIEWS)

@@ -1,8 +1,7 @@
-"""Procedural textures: what tables, walls and plain shapes are covered with.
+"""Procedural textures of tables, walls and plain shapes.
 
-Every texture is (size, size, 3) uint8; all but collages and markers tile without a seam. They are
-drawn on canvases that are kept: an episode draws seven, and large arrays that come and go fragment
-the heap.
+Every texture is (size, size, 3) uint8; all but collages and markers tile seamlessly. Scratch
+buffers are reused: an episode draws seven textures, and large temporary arrays fragment the heap.
 """
 
 from __future__ import annotations
@@ -16,13 +15,13 @@ from ...assets.collage import draw_collage, draw_markers
 from ...core.errors import InputError
 
 PATTERNS = ("plain", "noise", "wood", "checker", "gradient", "speckle")
-"""What furniture is made of."""
+"""Patterns of furniture."""
 
 PRINTED = ("collage", "markers")
-"""What lies on it, in colors of its own: posters and magazines, calibration boards."""
+"""Patterns with colors of their own: posters and magazines, calibration boards."""
 
 _STRIPS = 32
-"""In which what needs double precision is drawn."""
+"""Number of strips in which double-precision parts are drawn, to limit memory."""
 
 
 def procedural_texture(
@@ -35,12 +34,12 @@ def procedural_texture(
     """Draws a texture.
 
     Args:
-        rng: where its random parts come from.
+        rng: source of randomness.
         size: side in pixels.
         pattern: one of :data:`PATTERNS` or :data:`PRINTED`.
-        colors: two colors in [0, 1], (2, 3); the pattern goes from one to the other. Printed
-            ones have their own.
-        out: where it is drawn, (size, size, 3) uint8; a new array if None.
+        colors: two colors in [0, 1], (2, 3), between which the pattern interpolates; unused by
+            printed patterns.
+        out: output array, (size, size, 3) uint8; a new one if None.
 
     Raises:
         InputError: if the pattern is unknown.
@@ -49,7 +48,7 @@ def procedural_texture(
     if pattern in PRINTED:
         image[:] = draw_collage(rng, size) if pattern == "collage" else draw_markers(rng, size)
         return image
-    mix = _canvas((size, size))
+    mix = _scratch((size, size))
     if pattern == "plain":
         fractal_noise(rng, 8, mix)
         mix *= 0.12
@@ -62,7 +61,7 @@ def procedural_texture(
         odd = np.arange(size) * cells // size % 2 == 1
         fractal_noise(rng, 6, mix)
         mix *= 0.1
-        bright = np.not_equal(odd[:, None], odd[None], out=_canvas((size, size), 0, np.bool_))
+        bright = np.not_equal(odd[:, None], odd[None], out=_scratch((size, size), 0, np.bool_))
         np.add(mix, 0.9, out=mix, where=bright, dtype=np.float64, casting="same_kind")
     elif pattern == "gradient":
         i = np.cos(2 * np.pi * (np.arange(size) / size + rng.uniform()))
@@ -74,64 +73,59 @@ def procedural_texture(
     elif pattern == "speckle":
         fractal_noise(rng, 6, mix)
         mix *= 0.3
-        chance = rng.random(out=_canvas((size, size), 1), dtype=np.float32)
+        chance = rng.random(out=_scratch((size, size), 1), dtype=np.float32)
         rare = rng.uniform(0.9, 0.99)
-        mix += np.greater(chance, rare, out=_canvas((size, size), 0, np.bool_))
+        mix += np.greater(chance, rare, out=_scratch((size, size), 0, np.bool_))
     else:
         raise InputError(f"pattern must be one of {PATTERNS + PRINTED}, got {pattern!r}")
     steps = np.linspace(0.0, 1.0, 256)[:, None]
     low, high = np.asarray(colors)
     ramp = np.clip(255.0 * (low + (high - low) * steps), 0, 255).astype(np.uint8)
     np.clip(mix, 0.0, 1.0, out=mix)
-    levels = cv2.convertScaleAbs(mix, dst=_canvas((size, size), 0, np.uint8), alpha=255.0)
+    levels = cv2.convertScaleAbs(mix, dst=_scratch((size, size), 0, np.uint8), alpha=255.0)
     return cv2.applyColorMap(levels, ramp[:, None, :], dst=image)
 
 
 def fractal_noise(rng: np.random.Generator, cells: int, out: np.ndarray) -> None:
-    """Draws smooth noise in [0, 1] of several octaves, the coarsest of ``cells`` bumps a side.
+    """Draws smooth noise in [0, 1] into ``out`` (size, size) float32.
 
-    Each octave is added at its own resolution and the sum enlarged, which costs little more than
-    the last enlargement.
-
-    Args:
-        rng: where it comes from.
-        cells: bumps a side.
-        out: where it is drawn, (size, size) float32.
+    It has several octaves, the coarsest with ``cells`` cells a side. Each octave is added at its
+    own resolution and the sum upsampled, which costs little more than the last upsampling.
     """
     total = rng.random((cells, cells), dtype=np.float32)
     weight = 0.6
     while 2 * total.shape[0] <= len(out) // 2:
         larger = 2 * total.shape[0], 2 * total.shape[1]
-        total = _enlarge(total, _canvas(larger))
-        finer = rng.random(out=_canvas(larger, 1), dtype=np.float32)
+        total = _upsample(total, _scratch(larger))
+        finer = rng.random(out=_scratch(larger, 1), dtype=np.float32)
         finer *= weight
         total += finer
         weight *= 0.6
-    _enlarge(total, out)
+    _upsample(total, out)
     low, high = float(out.min()), float(out.max())
     out -= low
     out /= max(high - low, 1e-6)
 
 
-_canvases = threading.local()
+_buffers = threading.local()
 
 
-def _canvas(shape: tuple[int, int], number: int = 0, dtype: type = np.float32) -> np.ndarray:
-    """An array of this thread, which the next drawing draws over."""
+def _scratch(shape: tuple[int, int], number: int = 0, dtype: type = np.float32) -> np.ndarray:
+    """Returns a scratch buffer of this thread, which later calls overwrite."""
     name = f"{shape} {number} {dtype.__name__}"
-    if not hasattr(_canvases, name):
-        setattr(_canvases, name, np.empty(shape, dtype))
-    return getattr(_canvases, name)
+    if not hasattr(_buffers, name):
+        setattr(_buffers, name, np.empty(shape, dtype))
+    return getattr(_buffers, name)
 
 
-def _enlarge(grid: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """Enlarges a grid smoothly so that its opposite edges meet."""
+def _upsample(grid: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """Upsamples a grid with cubic interpolation and periodic boundaries."""
     pad = 2
     wrapped = cv2.copyMakeBorder(
         grid,
         *(pad,) * 4,
         cv2.BORDER_WRAP,
-        dst=_canvas((grid.shape[0] + 2 * pad, grid.shape[1] + 2 * pad), 2),  # never grid or out
+        dst=_scratch((grid.shape[0] + 2 * pad, grid.shape[1] + 2 * pad), 2),  # never grid or out
     )
     height, width = out.shape
     scale_y, scale_x = height / grid.shape[0], width / grid.shape[1]
@@ -142,9 +136,9 @@ def _enlarge(grid: np.ndarray, out: np.ndarray) -> np.ndarray:
 
 
 def _draw_wood(rng: np.random.Generator, out: np.ndarray) -> None:
-    """Grain along x: stripes of noise, bent a little, with finer fibres."""
+    """Draws grain along x: warped stripes of noise with finer fibers."""
     size = len(out)
-    _enlarge(rng.random((4, 4), dtype=np.float32), out)
+    _upsample(rng.random((4, 4), dtype=np.float32), out)
     out *= rng.uniform(0.02, 0.12)
     out += np.arange(size, dtype=np.float32)[:, None] / size
     profile = np.interp(
@@ -154,7 +148,7 @@ def _draw_wood(rng: np.random.Generator, out: np.ndarray) -> None:
     ).astype(np.float32)
     for rows in np.array_split(out, _STRIPS):
         rows[:] = profile[(rows * 4 * size).astype(np.int64) % (4 * size)]
-    fibres = _enlarge(rng.random((size // 4, 8), dtype=np.float32), _canvas((size, size), 1))
+    fibers = _upsample(rng.random((size // 4, 8), dtype=np.float32), _scratch((size, size), 1))
     out *= 0.65
-    fibres *= 0.35
-    out += fibres
+    fibers *= 0.35
+    out += fibers

@@ -1,8 +1,8 @@
-"""The one MuJoCo model of a scene: all objects, plain shapes, a table and a room.
+"""The MuJoCo model of a scene: all objects, plain shapes, a table and a room.
 
 It is compiled once. An episode moves bodies and changes sizes, colors, textures and lights in
 place. Every object and shape is a free body whose collision geometry is its convex hull, so that
-what is placed can be checked by physics; rendering never steps it.
+physics can check placements; rendering never steps the simulation.
 """
 
 from __future__ import annotations
@@ -18,29 +18,31 @@ from ...assets.object_model import ObjectModel
 from .gl import mujoco
 
 TABLE_HALF = (0.9, 0.7, 0.02)
-"""Half sizes of the table's board in meters; its top is z = 0."""
+"""Half sizes of the tabletop in meters; its upper side is z = 0."""
 FLOOR_Z = -0.72
 ROOM_HALF = 2.6
-"""Half the side of the square room in meters."""
+"""Half the side of the square room, meters."""
 WALL_HALF = 1.6
-"""Half the height of its walls in meters."""
+"""Half the height of its walls, meters."""
 NEAR, FAR = 0.03, 12.0
-"""Clipping planes in meters."""
+"""Clipping planes, meters."""
 
 
 class GeomGroup(IntEnum):
-    """MuJoCo's geom groups, by which is chosen what is drawn."""
+    """MuJoCo geom groups, which select what is rendered."""
 
-    ROOM = 0  # the table too
-    MOVABLE = 1  # what stands on the table
+    ROOM = 0  # including the table
+    MOVABLE = 1  # on the table
     HIDDEN = 3
-    ISOLATED = 4  # what is drawn alone for its silhouette
+    ISOLATED = 4  # rendered alone for its silhouette
 
 
 SHAPE_KINDS = ("box", "box", "box", "box", "cylinder", "cylinder", "cylinder", "sphere", "sphere")
 LIGHTS = 3
 SHAPE_TEXTURES = 4
-TABLE_TEXTURE, WALL_TEXTURE, FLOOR_TEXTURE, SHAPE_TEXTURE = 512, 256, 256, 64
+SHAPE_TEXTURE = 64
+ROOM_TEXTURES = {"table": 512, "wall": 256, "floor": 256}
+"""Sides of the textures of the room, pixels."""
 _GEOM = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
@@ -50,17 +52,17 @@ _GEOM = {
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """The compiled model and where its parts are.
+    """The compiled model and the ids of its parts.
 
     Attributes:
         model: the MuJoCo model.
-        object_names: names of the objects, in the order of ``object_geoms``.
+        object_names: in the order of ``object_geoms``.
         object_geoms: geom of each object, (N,).
         shape_geoms: geom of each plain shape, (S,).
         materials: id of each material by name ("table", "wall", "floor", "shape3", "object:duck").
-        textures: id of each changeable texture by name.
+        textures: id of each randomized texture by name.
         shine: (specular, shininess) of each object's own material.
-        qpos: address in ``qpos`` of the free joint of each geom that moves.
+        qpos: address in ``qpos`` of the free joint of each movable geom.
     """
 
     model: mujoco.MjModel
@@ -73,17 +75,17 @@ class World:
     qpos: dict[int, int]
 
     def geom(self, name: str) -> int:
-        """The geom of an object."""
+        """Returns the geom of an object."""
         return int(self.object_geoms[self.object_names.index(name)])
 
 
 def compile_world(objects: Mapping[str, ObjectModel]) -> World:
-    """Compiles the model of ``objects`` on a table in a room, with plain shapes beside them."""
+    """Compiles the model of ``objects`` and plain shapes on a table in a room."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.stat.extent, spec.stat.center = 1.0, (0.0, 0.0, 0.0)
     spec.visual.map.znear, spec.visual.map.zfar = NEAR, FAR
-    spec.visual.map.shadowscale = 0.35  # of a light's cone: the shadow map covers the clutter
+    spec.visual.map.shadowscale = 0.35  # of a light's cone, which covers the clutter
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 640, 480
     _add_room(spec)
     for i in range(LIGHTS):
@@ -128,11 +130,7 @@ def compile_world(objects: Mapping[str, ObjectModel]) -> World:
 
 
 def _add_room(spec: mujoco.MjSpec) -> None:
-    for name, size in (
-        ("table", TABLE_TEXTURE),
-        ("wall", WALL_TEXTURE),
-        ("floor", FLOOR_TEXTURE),
-    ):
+    for name, size in ROOM_TEXTURES.items():
         _add_texture(spec, name, size, size)
         _add_material(spec, name, name)
     table = spec.worldbody.add_geom(
@@ -144,7 +142,7 @@ def _add_room(spec: mujoco.MjSpec) -> None:
         group=GeomGroup.ROOM,
     )
     _make_collidable(table)
-    # Flat boxes rather than planes: MuJoCo draws a plane in both directions and in many tiles.
+    # Thin boxes rather than planes: MuJoCo renders planes two-sided and in many tiles.
     r = ROOM_HALF
     _add_sheet(spec, "floor", (r, r), np.array([0.0, 0.0, FLOOR_Z]), np.eye(3))
     for i in range(4):
@@ -162,7 +160,7 @@ def _add_sheet(
     center: np.ndarray,
     axes: np.ndarray,
 ) -> None:
-    """A part of the room that nothing collides with; the third of its axes looks inwards."""
+    """Adds a floor or wall without collisions; the third of its axes points inwards."""
     thickness = 0.01
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, axes.ravel())
@@ -186,7 +184,7 @@ def _add_object(spec: mujoco.MjSpec, name: str, model: ObjectModel) -> None:
     material = _add_material(spec, key, key)
     material.specular, material.shininess = model.specular, model.shininess
     faces, vertex, normals = corner_shading(model.vertices, model.faces)
-    # A closed mesh knows its center of mass; an open one borrows that of its hull.
+    # An open mesh has no center of mass: that of its convex hull is used.
     closed = trimesh.Trimesh(model.vertices, model.faces).is_volume
     inertia = mujoco.mjtMeshInertia
     mesh = spec.add_mesh(
@@ -195,7 +193,7 @@ def _add_object(spec: mujoco.MjSpec, name: str, model: ObjectModel) -> None:
     mesh.uservert = model.vertices[vertex].ravel().tolist()
     mesh.userface = faces.ravel().tolist()
     mesh.usernormal = normals.ravel().tolist()
-    # MuJoCo's v runs down the image, as its rows do.
+    # MuJoCo's v axis points down the image.
     mesh.usertexcoord = (model.uv[vertex] * (1, -1) + (0, 1)).ravel().tolist()
     geom = _add_body(spec, key).add_geom(
         name=key, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=key, material=key
@@ -206,18 +204,18 @@ def _add_object(spec: mujoco.MjSpec, name: str, model: ObjectModel) -> None:
 def corner_shading(
     vertices: np.ndarray, faces: np.ndarray, crease: float = np.deg2rad(40.0)
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Splits vertices so that each has one normal: smooth, but sharp at creases.
+    """Computes vertex normals for smooth shading with sharp creases, splitting vertices.
 
-    Texture seams, where vertices are doubled already, leave no trace in the shading.
+    Texture seams, where vertices are duplicated, are shaded smoothly.
 
     Args:
-        vertices: (V, 3); vertices at the same place count as one.
+        vertices: (V, 3); vertices at the same position count as one.
         faces: (F, 3).
-        crease: faces that meet at a larger angle keep their edge sharp, radians.
+        crease: angle in radians between faces above which their edge is sharp.
 
     Returns:
-        Faces (F, 3) over N split vertices, the vertex that each comes from (N,), and its unit
-        normal (N, 3).
+        Faces (F, 3) over N split vertices, the original vertex of each (N,), and its unit normal
+        (N, 3).
     """
     triangles = vertices[faces]
     face_normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
@@ -225,7 +223,7 @@ def corner_shading(
     units = face_normals / np.maximum(areas, 1e-15)
     grid = np.round(vertices / (1e-6 * np.ptp(vertices, axis=0).max())).astype(np.int64)
     _, place = np.unique(grid, axis=0, return_inverse=True)
-    # Every corner meets every corner at the same place.
+    # Pairs of corners at the same position.
     corner_place = place.ravel()[faces].ravel()  # (3 F,)
     order = np.argsort(corner_place, kind="stable")
     starts = np.searchsorted(corner_place[order], np.arange(place.max() + 2))
@@ -246,7 +244,7 @@ def corner_shading(
 def _add_texture(
     spec: mujoco.MjSpec, name: str, width: int, height: int, data: bytes | None = None
 ) -> mujoco.MjsTexture:
-    """Adds a flat texture, gray unless there is data."""
+    """Adds a 2D texture, gray if ``data`` is None."""
     texture = spec.add_texture(
         name=name,
         type=mujoco.mjtTexture.mjTEXTURE_2D,

@@ -5,13 +5,13 @@ from __future__ import annotations
 import platform
 
 import pytest
-from two_view_pose.core import memory as freed_memory
+from two_view_pose.core import memory
 from two_view_pose.core.memory import release_unused_memory
 from two_view_pose.core.worker_pool import memory_in_use
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="GNU's allocator only")
-def test_holes_are_given_back():
+def test_unused_memory_is_released():
     blocks = [bytes(bytearray(50_000)) for _ in range(4_000)]  # 200 MB, too small for maps
     kept = blocks[::40]
     full = memory_in_use()
@@ -21,6 +21,6 @@ def test_holes_are_given_back():
     assert all(not any(block) for block in kept)
 
 
-def test_other_systems_are_left_alone(monkeypatch):
-    monkeypatch.setattr(freed_memory.sys, "platform", "darwin")
+def test_nothing_is_released_without_glibc(monkeypatch):
+    monkeypatch.setattr(memory.sys, "platform", "darwin")
     assert not release_unused_memory()

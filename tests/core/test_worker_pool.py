@@ -19,7 +19,7 @@ from two_view_pose.envs.datagen.generate import GenerateConfig, generate
 
 
 @pytest.mark.parametrize(("limit", "replaced"), [(1e-3, True), (0.0, False), (1e3, False)])
-def test_a_worker_that_holds_too_much_is_replaced(
+def test_a_worker_above_the_memory_limit_is_replaced(
     tmp_path: Path, limit: float, replaced: bool
 ) -> None:
     made = list(run_scenes(partial(ProcessTask, tmp_path), range(5), 2, worker_memory=limit))
@@ -59,7 +59,7 @@ def test_a_scene_whose_workers_always_die_ends_the_run() -> None:
         list(run_scenes(DyingTask, [8, 9], workers=2))
 
 
-def test_memory_is_what_this_process_holds() -> None:
+def test_memory_in_use_measures_this_process() -> None:
     before = memory_in_use()
     ballast = bytearray(os.urandom(1) * 200_000_000)
     assert 150e6 < memory_in_use() - before < 400e6
@@ -67,5 +67,5 @@ def test_memory_is_what_this_process_holds() -> None:
 
 
 def test_a_limit_below_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="worker_memory must be at least 0, got -1"):
+    with pytest.raises(ValueError, match="worker_memory must be >= 0, got -1"):
         GenerateConfig(tmp_path, worker_memory=-1.0)

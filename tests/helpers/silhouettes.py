@@ -6,7 +6,7 @@ from two_view_pose.core.geometry import transform
 
 
 def drawn_silhouette(model, T_cam_obj, K, shape):
-    """The pixels whose centres lie in a projected triangle; projection is OpenCV's."""
+    """The pixels whose centers lie in a projected triangle; projection is OpenCV's."""
     uv, _ = cv2.projectPoints(
         transform(T_cam_obj, model.vertices), np.zeros(3), np.zeros(3), K, None
     )
@@ -17,8 +17,8 @@ def drawn_silhouette(model, T_cam_obj, K, shape):
     pixels = first[:, None] + steps  # (F, size^2, 2): all that a triangle could hold
     sides = np.roll(triangles, -1, axis=1) - triangles
     offsets = pixels[:, None] - triangles[:, :, None]
-    turn = sides[:, :, None, 0] * offsets[..., 1] - sides[:, :, None, 1] * offsets[..., 0]
-    inside = np.all(turn >= 0, axis=1) | np.all(turn <= 0, axis=1)
+    cross = sides[:, :, None, 0] * offsets[..., 1] - sides[:, :, None, 1] * offsets[..., 0]
+    inside = np.all(cross >= 0, axis=1) | np.all(cross <= 0, axis=1)
     columns, rows = pixels[inside].astype(int).T
     seen = (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])
     canvas = np.zeros(shape, dtype=bool)

@@ -13,7 +13,7 @@ def file_bytes(folder: Path) -> dict[Path, bytes]:
 
 
 def apes(out: Path, scenes: int) -> GenerateConfig:
-    """A finished dataset of few small pictures, made by one process."""
+    """A finished dataset of few small images, made by one process."""
     config = GenerateConfig(
         out, scenes=scenes, views=2, objects=("ape",), width=160, height=120, workers=1
     )

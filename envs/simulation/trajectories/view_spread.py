@@ -1,4 +1,4 @@
-"""Second views: cameras at chosen angles from a first one, well apart from each other."""
+"""Samples second views at given angles from a reference view, well separated from each other."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from ....core.errors import InputError
 from ..camera import CameraRange, camera_center, look_at
 
 _TRIES = 60
-_APART = np.deg2rad(12.0)
-"""The angle that new cameras keep between each other where that is possible."""
+_MIN_SEPARATION = np.deg2rad(12.0)
+"""Angle between new cameras, where possible, radians."""
 
 
 def spread_views(
@@ -20,19 +20,18 @@ def spread_views(
     angles: tuple[float, float],
     cameras: CameraRange,
 ) -> list[np.ndarray]:
-    """Draws ``count`` cameras around a point that a first camera looks at.
+    """Samples ``count`` cameras around a point that a first camera looks at.
 
-    Their angles from the first camera are spread evenly over ``angles``: each takes one of
-    ``count`` equal parts of that interval, in random order. Around the first camera they lie
-    anywhere, as long as elevation allows.
+    Their angles from the first camera are stratified over ``angles``, in random order. Their
+    directions around its axis are uniform within the range of elevation.
 
     Args:
-        rng: where they come from.
+        rng: source of randomness.
         T_cam_world: the first camera, (4, 4).
         center: the point, (3,) meters, world.
-        count: how many.
-        angles: smallest and largest angle at the point between a new camera and the first, radians.
-        cameras: distances, elevations, roll and look-at noise of the new ones; azimuth is free.
+        count: number of cameras.
+        angles: (min, max) of the angle at the point between a new camera and the first, radians.
+        cameras: range of distance, elevation, roll and look-at noise; azimuth is free.
 
     Returns:
         T_cam_world (4, 4) of each.
@@ -60,8 +59,9 @@ def spread_views(
                 f"no camera between {np.rad2deg(low):.0f} and {np.rad2deg(high):.0f} degrees from "
                 f"the first has an elevation within {np.rad2deg(cameras.elevation)} degrees"
             )
-        nearest = np.arccos(np.clip(candidates @ np.transpose(chosen), -1.0, 1.0)).min(axis=1)
-        direction = candidates[np.argmax(np.minimum(nearest, _APART))]  # the first that is enough
+        separation = np.arccos(np.clip(candidates @ np.transpose(chosen), -1.0, 1.0)).min(axis=1)
+        # The first candidate that is separated enough, else the best.
+        direction = candidates[np.argmax(np.minimum(separation, _MIN_SEPARATION))]
         chosen.append(direction)
         distance = rng.uniform(*cameras.distance)
         position = center + distance * direction
@@ -71,7 +71,7 @@ def spread_views(
 
 
 def viewing_angle(T_cam_world: np.ndarray, other: np.ndarray, point: np.ndarray) -> float:
-    """The angle at ``point`` (3,) between the rays to two cameras, radians."""
+    """Returns the angle at ``point`` (3,) between the rays to two cameras, radians."""
     rays = [_direction(camera_center(T) - point) for T in (T_cam_world, other)]
     return float(np.arccos(np.clip(rays[0] @ rays[1], -1.0, 1.0)))
 

@@ -9,7 +9,7 @@ RECORD = {"metric": "test_set", "value": 1, "unit": "pairs", "scene": "linemod",
           "references": 1, "settings": "{}"}  # fmt: skip
 
 
-def test_the_page_is_made_again_from_the_results(tmp_path, monkeypatch, capsys):
+def test_report_only_renders_the_page_from_results(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(study_run, "Study", None)
     write_results(tmp_path / "results.json", [RECORD], command="compare --out a", seed=0)
     before = (tmp_path / "results.json").read_bytes()

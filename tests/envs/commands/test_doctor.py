@@ -9,18 +9,18 @@ from two_view_pose.assets import OBJECT_NAMES
 from two_view_pose.envs.commands import doctor
 
 
-def test_doctor_finds_what_renders(tmp_path, capsys):
+def test_doctor_reports_the_opengl_backend(tmp_path, capsys):
     assert main(["doctor", "--quick", "--json", str(tmp_path / "d.json")]) == 0
     assert "ok  OpenGL" in capsys.readouterr().out
     (record,) = json.loads((tmp_path / "d.json").read_text())["records"]
     assert record["check"] == "OpenGL" and record["value"] == 1
 
 
-def test_doctor_says_what_to_do(monkeypatch, capsys):
+def test_doctor_reports_a_failed_check(monkeypatch, capsys):
     monkeypatch.setenv("MUJOCO_GL", "off")
     assert main(["doctor", "--quick"]) == 1
     printed = capsys.readouterr().out
-    assert "FAILS  OpenGL: MUJOCO_GL=off switches rendering off; unset it" in printed
+    assert "FAIL  OpenGL: MUJOCO_GL=off disables rendering; unset it" in printed
 
 
 def test_doctor_says_what_networks_run_on(monkeypatch):

@@ -56,7 +56,7 @@ def test_each_of_13_objects_has_100_reference_views_of_light_clutter() -> None:
     assert set(references) == set(OBJECT_NAMES) and min(references.values()) >= 100
 
 
-def test_heaps_of_lmo_s_objects_have_more_than_100_reference_views() -> None:
+def test_occlusion_set_has_more_than_100_reference_views() -> None:
     config = TEST_SETS["occlusion"]
     assert {plan.kind for plan in plans(config)} == {"heap"}
     views = sum(len({first for first, _ in plan.pairs}) for plan in plans(config))

@@ -36,7 +36,7 @@ def root(whole: GenerateConfig, tmp_path: Path) -> Path:
     return tmp_path / "set"
 
 
-def test_every_file_is_vouched_for(whole: GenerateConfig) -> None:
+def test_checksums_cover_every_file(whole: GenerateConfig) -> None:
     assert list(find_problems(whole.out)) == []
     top = read_sums(whole.out)
     assert "test_targets_bop19.json" in top and "models_eval/obj_000001.ply" in top
@@ -51,7 +51,7 @@ def test_every_file_is_vouched_for(whole: GenerateConfig) -> None:
     assert listed == there
 
 
-def test_the_lists_are_such_as_sha256sum_reads(root: Path) -> None:
+def test_checksums_are_readable_by_sha256sum(root: Path) -> None:
     tool = shutil.which("sha256sum")
     if tool is None:
         pytest.skip("there is no sha256sum")
@@ -63,10 +63,10 @@ def test_the_lists_are_such_as_sha256sum_reads(root: Path) -> None:
 
 
 def test_missing_changed_and_extra_files_are_named(root: Path) -> None:
-    picture = root / "test" / "000001" / "rgb" / "000001.jpg"
-    data = bytearray(picture.read_bytes())
+    image = root / "test" / "000001" / "rgb" / "000001.jpg"
+    data = bytearray(image.read_bytes())
     data[len(data) // 2] ^= 1  # one bit
-    picture.write_bytes(data)
+    image.write_bytes(data)
     (root / "test" / "000000" / "mask" / "000000_000000.png").unlink()
     (root / "test" / "000000" / "notes.txt").touch()
     (root / "models" / "obj_000001.png").write_bytes(b"")
@@ -103,7 +103,7 @@ def test_the_command_exits_with_1_where_something_is_wrong(root: Path, capsys) -
     assert main(["generate", "--verify", "--out", str(root / "nothing")]) == 2
 
 
-def test_a_run_that_is_not_finished_has_no_list(whole: GenerateConfig, root: Path) -> None:
+def test_an_unfinished_run_has_no_checksums(whole: GenerateConfig, root: Path) -> None:
     config = replace(whole, out=root)
     before = (root / "SHA256SUMS").read_bytes()
     (root / "SHA256SUMS").unlink()
@@ -118,5 +118,5 @@ def test_a_run_that_is_not_finished_has_no_list(whole: GenerateConfig, root: Pat
 
 def test_broken_lists_are_named(root: Path) -> None:
     (root / "SHA256SUMS").write_text("rubbish\n")
-    with pytest.raises(ValueError, match="line 1 is no checksum: 'rubbish'"):
+    with pytest.raises(ValueError, match="line 1 is not a checksum: 'rubbish'"):
         list(find_problems(root))

@@ -1,4 +1,4 @@
-"""Generated datasets: their annotations fit their pictures, and a seed fixes every byte."""
+"""Generated datasets: their annotations fit their images, and a seed fixes every byte."""
 
 import json
 import shutil
@@ -49,7 +49,7 @@ def images(config):
     return list(bop.read_dataset(config.out, config.split))
 
 
-def test_annotations_fit_the_pictures(images):
+def test_annotations_match_masks_and_depth(images):
     assert len(images) == 12
     whole = 0
     for image in images:
@@ -86,7 +86,7 @@ def test_views_are_spread_and_every_object_is_a_target(config, images):
             next(i for i in images if (i.scene_id, i.image_id) == (pair.scene_id, image_id))
             for image_id in (0, pair.second_image_id)
         )
-        for obj_id in pair.obj_ids:  # nothing moved between the two pictures
+        for obj_id in pair.obj_ids:  # nothing moved between the two images
             np.testing.assert_allclose(
                 pair.T_second_ref @ first.annotation(obj_id).T_cam_obj,
                 second.annotation(obj_id).T_cam_obj,
@@ -103,7 +103,7 @@ def test_a_resumed_run_and_several_workers_give_the_same_bytes(config, images, t
     for scene_id in (1, 2):
         shutil.rmtree(split / f"{scene_id:06d}")
     (split / ".000001.partial").mkdir()  # a killed run leaves such a folder
-    (split / ".000001.partial" / "rubbish").write_text("half a picture")
+    (split / ".000001.partial" / "rubbish").write_text("half a image")
     kept = split / "000000" / "scene_gt.json"
     time_kept = kept.stat().st_mtime_ns
     generate(replace(config, out=out, workers=2))
@@ -113,7 +113,7 @@ def test_a_resumed_run_and_several_workers_give_the_same_bytes(config, images, t
     assert kept.stat().st_mtime_ns == time_kept
 
 
-def test_shards_make_the_whole(config, images, tmp_path):
+def test_shards_make_the_complete_dataset(config, images, tmp_path):
     shards = [replace(config, out=tmp_path, shard=(i, 2)) for i in (1, 0)]
     generate(shards[0])
     scenes = [f"{config.split}/{path.name}" for path in (tmp_path / config.split).iterdir()]
@@ -132,12 +132,12 @@ def test_other_settings_in_the_same_folder_are_refused(config, images):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"scenes": 0}, "scenes must be at least 1, got 0"),
-        ({"workers": 0}, "workers must be at least 1"),
+        ({"scenes": 0}, "scenes must be >= 1, got 0"),
+        ({"workers": 0}, "workers must be >= 1"),
         ({"shard": (2, 2)}, "shard must be K and N with 0 <= K < N"),
         ({"width": 8}, "width must be 16 to 4096"),
         ({"scene": "messy"}, "scene must be one of linemod, .*, got 'messy'"),
-        ({"view_angles": (40.0, 10.0)}, "view_angles must rise"),
+        ({"view_angles": (40.0, 10.0)}, "view_angles must be .min, max. and 0 to 150"),
         ({"jpeg_quality": 101}, "jpeg_quality must be 0 to 100"),
         ({"split": "a/b"}, "split must be the name of a folder"),
     ],
@@ -213,7 +213,7 @@ def test_scaled_camera_sees_the_same_field():
     np.testing.assert_allclose(square, LINEMOD_K - [[0, 0, 80], [0, 0, 0], [0, 0, 0]])
 
 
-def test_silhouette_window_reaches_beyond_the_picture_but_not_far():
+def test_silhouette_window_extends_beyond_the_image_up_to_a_limit():
     duck = load_object("duck")
     shape = LINEMOD_IMAGE_SIZE
     left, top, width, height = silhouette_window(
@@ -226,13 +226,13 @@ def test_silhouette_window_reaches_beyond_the_picture_but_not_far():
     assert silhouette_window(duck, around, LINEMOD_K, shape) == (-640, -480, 1920, 1440)
 
 
-def test_results_file_counts_the_pictures(config, images, tmp_path):
+def test_results_file_counts_images(config, images, tmp_path):
     generate(replace(config, json=tmp_path / "results.json"))
     records = json.loads((tmp_path / "results.json").read_text())["records"]
-    assert {r["metric"]: r["value"] for r in records}["pictures"] == 12
+    assert {r["metric"]: r["value"] for r in records}["images"] == 12
 
 
-def test_a_mesh_kept_on_the_disk_gives_the_same_bytes(tmp_path, monkeypatch):
+def test_the_mesh_cache_gives_the_same_bytes(tmp_path, monkeypatch):
     mesh = trimesh.creation.capsule(0.12, 0.03, count=[8, 8])
     mesh.visual.vertex_colors = np.random.default_rng(0).integers(0, 255, (len(mesh.vertices), 3))
     mesh.export(tmp_path / "capsule.ply")

@@ -52,7 +52,7 @@ def annotated(config: GenerateConfig):
             yield image, annotation, infos[i], visible, whole, depth
 
 
-def test_silhouettes_are_whole(config: GenerateConfig) -> None:
+def test_silhouettes_are_complete(config: GenerateConfig) -> None:
     hidden = 0
     for image, annotation, info, visible, whole, _ in annotated(config):
         assert not np.any(visible & ~whole)
@@ -105,10 +105,10 @@ def test_basic_annotations_leave_out_and_changes_nothing_else(
 
 def test_coco_can_be_asked_for_later(config: GenerateConfig) -> None:
     scene = config.out / config.split / "000000"
-    picture = next((scene / "rgb").iterdir())
-    written = picture.stat().st_mtime_ns
+    image = next((scene / "rgb").iterdir())
+    written = image.stat().st_mtime_ns
     generate(replace(config, coco=True))
-    assert picture.stat().st_mtime_ns == written
+    assert image.stat().st_mtime_ns == written
     coco = json.loads((scene / "scene_gt_coco.json").read_text())
     assert {c["id"] for c in coco["categories"]} == set(NAMES)
     assert "scene_gt_coco.json" in (scene / "SHA256SUMS").read_text()
@@ -117,5 +117,5 @@ def test_coco_can_be_asked_for_later(config: GenerateConfig) -> None:
 
 @pytest.mark.parametrize("change", [{"masks": False}, {"annotations": "basic"}])
 def test_coco_without_silhouettes_is_refused(config: GenerateConfig, change) -> None:
-    with pytest.raises(ValueError, match="coco needs masks of the whole silhouettes"):
+    with pytest.raises(ValueError, match="coco needs masks of full silhouettes"):
         replace(config, coco=True, **change)

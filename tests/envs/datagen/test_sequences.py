@@ -51,7 +51,7 @@ def camera_center(image: bop.BopImage) -> np.ndarray:
     return invert(image.T_cam_world)[:3, 3]
 
 
-def test_only_the_frames_that_pairs_need_are_pictures(images) -> None:
+def test_only_frames_that_pairs_need_are_rendered(images) -> None:
     # References 0, 2 and 4, with followers at 1 and 4.
     assert {key for key in images if key[0] == 0} == {(0, f) for f in (0, 1, 2, 3, 4, 5, 6, 8)}
 
@@ -69,7 +69,7 @@ def test_pairs_have_the_gaps_and_the_motion_between(config, images) -> None:
         )
         target = first.annotation(pair.target_obj_id)
         assert target is not None and target.visibility >= 0.1
-        for obj_id in pair.obj_ids:  # nothing moved between the two pictures
+        for obj_id in pair.obj_ids:  # nothing moved between the two images
             np.testing.assert_allclose(
                 pair.T_second_ref @ first.annotation(obj_id).T_cam_obj,
                 second.annotation(obj_id).T_cam_obj,
@@ -79,7 +79,7 @@ def test_pairs_have_the_gaps_and_the_motion_between(config, images) -> None:
         assert 0.0135 * pair.gap < baseline <= 0.03 * pair.gap
 
 
-def test_the_target_stays_in_the_picture_and_in_view(images) -> None:
+def test_the_target_stays_in_the_image_and_visible(images) -> None:
     for (scene_id, _), image in images.items():
         target = image.annotation((1, 9)[scene_id])
         assert target is not None
@@ -114,7 +114,7 @@ def test_same_seed_same_bytes_whatever_came_before(config, images, tmp_path) -> 
     assert file_bytes(other.out / config.split) != first
 
 
-def test_views_around_the_sphere_are_the_same_where_both_take_turns(config, tmp_path) -> None:
+def test_mixed_sampling_keeps_the_sphere_scenes(config, tmp_path) -> None:
     mixed = replace(config, out=tmp_path / "mixed", scenes=4, views=2, sampling="mixed", gaps=(2,))
     generate(mixed)
     sphere = replace(mixed, out=tmp_path / "sphere", scenes=1, sampling="sphere")
@@ -140,7 +140,7 @@ def test_reference_frames_are_spread_over_the_sequence() -> None:
     assert reference_frames(11, (1, 5, 10), 7) == [0]
 
 
-def test_kinds_and_samplings_take_all_turns(config: GenerateConfig) -> None:
+def test_mixtures_cover_all_kinds_and_samplings(config: GenerateConfig) -> None:
     config = replace(config, scene="all", sampling="mixed", scenes=36)
     plans = [plan_scene(config, i, OBJECTS) for i in range(36)]
     seen = {(p.kind, p.target, p.length is None) for p in plans}
@@ -151,11 +151,11 @@ def test_kinds_and_samplings_take_all_turns(config: GenerateConfig) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"views": 4}, "views must be more than the largest gap, 4"),
-        ({"gaps": ()}, "gaps must rise from at least 1"),
-        ({"gaps": (5, 1)}, "gaps must rise from at least 1"),
-        ({"gaps": (0, 1)}, "gaps must rise from at least 1"),
-        ({"references": -1}, "references must be at least 0"),
+        ({"views": 4}, "views must be > the largest gap 4"),
+        ({"gaps": ()}, "gaps must be >= 1 and increasing"),
+        ({"gaps": (5, 1)}, "gaps must be >= 1 and increasing"),
+        ({"gaps": (0, 1)}, "gaps must be >= 1 and increasing"),
+        ({"references": -1}, "references must be >= 0"),
         (
             {"sampling": "drone"},
             "sampling must be one of sphere, hand-held, mixed, stereo, got 'drone'",

@@ -20,12 +20,12 @@ def test_look_at_puts_its_target_on_the_optical_axis_with_level_rows() -> None:
     K = LINEMOD_K.copy()
     uv, _ = cv2.projectPoints(target[None], rotation, T[:3, 3], K, None)
     np.testing.assert_allclose(uv[0, 0], K[:2, 2], atol=1e-6)
-    assert T[0, 2] == pytest.approx(0.0, abs=1e-12)  # the picture's x axis is level
-    assert T[1, 2] < 0  # up in the world is up in the picture
+    assert T[0, 2] == pytest.approx(0.0, abs=1e-12)  # the image's x axis is level
+    assert T[1, 2] < 0  # up in the world is up in the image
     np.testing.assert_allclose(invert(T)[:3, 3], position)
 
 
-def test_roll_turns_the_picture_clockwise_about_its_center() -> None:
+def test_roll_rotates_the_image_clockwise_about_its_center() -> None:
     center = np.array([0.0, 0.0, 0.1])
     straight = view_sphere_pose(center, 1.0, 0.3, 0.5)
     rolled = view_sphere_pose(center, 1.0, 0.3, 0.5, roll=0.2)

@@ -15,7 +15,7 @@ def looking_from(center: tuple[float, float, float]) -> np.ndarray:
     return np.linalg.inv(pose((0.3, -2.0, 1.0), center))
 
 
-def test_flies_straight():
+def test_free_flying_carrier_travels_straight():
     carrier = FreeFlyingCarrier()
     carrier.place(looking_from((1.0, 2.0, 3.0)))
     motion = carrier.move(looking_from((1.0, 5.0, 7.0)))
@@ -24,14 +24,14 @@ def test_flies_straight():
     assert carrier.move(looking_from((1.0, 5.0, 6.0))).travel == pytest.approx(1.0)
 
 
-def test_refuses_what_is_no_pose():
+def test_invalid_poses_are_refused():
     with pytest.raises(ValueError, match="T_cam_world"):
         FreeFlyingCarrier().place(2 * np.eye(4))
     with pytest.raises(ValueError, match="T_cam_world"):
         FreeFlyingCarrier().move(np.full((4, 4), np.nan))
 
 
-def test_pose_noise_has_the_size_it_says():
+def test_pose_noise_has_its_standard_deviation():
     rng = np.random.default_rng(0)
     T = looking_from((0.5, 0.2, 0.9))
     errors = np.stack(
@@ -43,7 +43,7 @@ def test_pose_noise_has_the_size_it_says():
     np.testing.assert_allclose(angles.mean(axis=0), 0.0, atol=0.15)
 
 
-def test_no_noise_is_none():
+def test_zero_pose_noise_is_identity():
     T = looking_from((0.5, 0.2, 0.9))
     np.testing.assert_array_equal(PoseNoise().perturb(T, np.random.default_rng(0)), T)
 
@@ -59,6 +59,6 @@ def test_no_noise_is_none():
         ((0.0, "1 cm"), "pose_noise.translation must be >= 0, got '1 cm'"),
     ],
 )
-def test_bad_noise(noise, message):
+def test_invalid_pose_noise_is_refused(noise, message):
     with pytest.raises(ValueError, match=message):
         PoseNoise.of(noise)

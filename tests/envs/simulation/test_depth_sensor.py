@@ -20,7 +20,7 @@ def only(**parts: float) -> DepthSensorConfig:
     """A perfect sensor but for the given parts."""
     perfect = {
         "axial": 0.0, "lateral": 0.0, "disparity_step": 0.0, "baseline": 0.0, "grazing": 90.0,
-        "edge_loss": 0.0, "nearest": 0.0, "farthest": 1e3,
+        "edge_loss": 0.0, "min_depth": 0.0, "max_depth": 1e3,
     }  # fmt: skip
     return DepthSensorConfig(**{**perfect, **parts})
 
@@ -58,7 +58,7 @@ def test_same_seed_same_bytes_and_another_seed_others():
 
 
 @pytest.mark.parametrize("z", [0.7, 1.0, 1.4])
-def test_noise_of_a_wall_is_what_nguyen_measured(z):
+def test_axial_noise_of_a_wall_matches_nguyen(z):
     depth = np.full((240, 320), z, np.float32)
     out = apply_depth_sensor(depth, K, DepthSensorConfig(), np.random.default_rng(0))
     out = out[out > 0]
@@ -76,7 +76,7 @@ def test_depth_comes_in_eighths_of_a_pixel_of_disparity():
     assert len(np.unique(np.round(eighths))) > 20
 
 
-def test_neighbors_err_alike_and_far_pixels_do_not():
+def test_depth_noise_is_correlated_between_neighbors_only():
     depth = np.full((300, 400), 1.0, np.float32)
     noise = apply_depth_sensor(depth, K, only(axial=1.0), np.random.default_rng(0)) - 1
     beside = np.corrcoef(noise[:, 1:].ravel(), noise[:, :-1].ravel())[0, 1]
@@ -134,11 +134,11 @@ def test_pixels_beside_edges_are_lost_or_see_the_other_surface():
     assert 0.05 < moved[rim].mean() < 0.4 and moved[~rim].mean() < 1e-3
 
 
-def test_what_is_too_near_or_too_far_or_nothing_is_not_seen():
+def test_depth_out_of_range_is_missing():
     depth = np.full((40, 60), 1.0, np.float32)
     depth[:, :20], depth[:, 40:] = 0.3, 6.0
     depth[:10] = 0
-    sensor = only(nearest=0.4, farthest=5.0)
+    sensor = only(min_depth=0.4, max_depth=5.0)
     out = apply_depth_sensor(depth, K, sensor, np.random.default_rng(0))
     np.testing.assert_array_equal(out > 0, depth == 1)
 
@@ -156,8 +156,8 @@ def test_nguyens_formula_at_points_of_the_paper():
     [
         ({"axial": -1.0}, "axial must be >= 0"),
         ({"edge_loss": 1.5}, "edge_loss must be 0 to 1"),
-        ({"grazing": 120.0}, "grazing must be above 0"),
-        ({"nearest": 6.0}, "farthest must be above nearest"),
+        ({"grazing": 120.0}, "grazing must be > 0"),
+        ({"min_depth": 6.0}, "max_depth must be > min_depth"),
         ({"baseline": 0.0}, "disparity_step needs a baseline"),
     ],
 )
@@ -185,9 +185,9 @@ def test_generated_depth_passes_the_sensor_and_nothing_else_changes(tmp_path):
     )  # fmt: skip
     maps = [[bop.read_depth(image) for image in images] for images in (exact, noisy)]
     for plain, clean, rough, true, seen in zip(without, exact, noisy, *maps, strict=True):
-        pictures = [bop.read_rgb(image) for image in (plain, clean, rough)]
-        np.testing.assert_array_equal(pictures[0], pictures[1])
-        np.testing.assert_array_equal(pictures[0], pictures[2])
+        images = [bop.read_rgb(image) for image in (plain, clean, rough)]
+        np.testing.assert_array_equal(images[0], images[1])
+        np.testing.assert_array_equal(images[0], images[2])
         np.testing.assert_array_equal(
             plain.annotations[0].T_cam_obj, rough.annotations[0].T_cam_obj
         )

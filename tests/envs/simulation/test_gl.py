@@ -49,7 +49,7 @@ def test_a_named_back_end_that_is_missing_is_named_in_the_error() -> None:
     assert "apt-get install -y libosmesa6" in run.stderr
 
 
-def test_a_spawned_worker_draws_the_same_picture() -> None:
+def test_a_spawned_worker_renders_the_same_image() -> None:
     context = multiprocessing.get_context("spawn")
     queue = context.Queue()
     worker = context.Process(target=workers.render_duck, args=(queue,))

@@ -24,7 +24,7 @@ def heap(objects: dict[str, ObjectModel]) -> Iterator[Scene]:
     scene.close()
 
 
-def test_all_objects_stand_close_together_and_in_the_picture(
+def test_all_objects_are_close_together_and_in_the_image(
     heap: Scene, objects: dict[str, ObjectModel]
 ) -> None:
     inside = []
@@ -44,7 +44,7 @@ def test_all_objects_stand_close_together_and_in_the_picture(
     assert np.mean(inside) > 0.97
 
 
-def test_a_heap_does_not_fall_over(heap: Scene) -> None:
+def test_heap_scenes_are_stable_under_physics(heap: Scene) -> None:
     model, data = heap.world.model, heap.data
     for seed in range(2):
         state = heap.reset(np.random.default_rng(seed), "post")
@@ -58,7 +58,7 @@ def test_a_heap_does_not_fall_over(heap: Scene) -> None:
             assert np.linalg.norm(moved) < 0.004, name
 
 
-def test_targets_are_hidden_as_in_lmo(heap: Scene) -> None:
+def test_target_visibility_matches_lmo(heap: Scene) -> None:
     seen, elevations = [], []
     for seed in range(25):
         state = heap.reset(np.random.default_rng(seed), heap.object_names[seed % 6])
@@ -77,7 +77,7 @@ def test_targets_are_hidden_as_in_lmo(heap: Scene) -> None:
     assert 24 < np.median(elevations) < 42  # LM-O: 32
 
 
-def test_same_seed_same_heap_and_a_given_camera_is_kept(heap: Scene) -> None:
+def test_heap_scenes_are_deterministic_and_keep_a_given_camera(heap: Scene) -> None:
     first, again, other = (heap.reset(np.random.default_rng(s), "ring") for s in (2, 2, 3))
     np.testing.assert_array_equal(first.T_cam_world, again.T_cam_world)
     for name, T in first.T_world_obj.items():
@@ -87,7 +87,7 @@ def test_same_seed_same_heap_and_a_given_camera_is_kept(heap: Scene) -> None:
     np.testing.assert_array_equal(heap.reset(np.random.default_rng(1), "ring", T).T_cam_world, T)
 
 
-def test_clearance_is_the_distance_to_the_nearest_thing(heap: Scene) -> None:
+def test_clearance_is_the_distance_to_the_nearest_prop(heap: Scene) -> None:
     heap.reset(np.random.default_rng(0), "ball")
     props = heap.arrangement.placed()
     top = max(prop.rest.height for prop in props)

@@ -69,7 +69,7 @@ def test_separated_measures_the_gap_between_parallel_sides() -> None:
     assert not separated(SQUARE, SQUARE + np.array([0.102, 0.02]), gap=0.003)
 
 
-def test_packing_fills_the_table_without_a_touch() -> None:
+def test_packing_has_no_collisions() -> None:
     rng = np.random.default_rng(1)
     placed: list[PlacedObject] = []
     for _ in range(40):
@@ -91,7 +91,7 @@ def test_pack_gives_up_where_the_table_ends() -> None:
     assert pack(np.random.default_rng(0), big, there, np.zeros(2)) is None
 
 
-def test_turning_the_table_turns_poses_and_outlines_alike() -> None:
+def test_rotated_rotates_pose_and_outline() -> None:
     box = PlacedObject(
         resting_shape("box", np.array([0.05, 0.02, 0.03])), np.array([0.2, 0.1]), 0.4
     )

@@ -1,4 +1,4 @@
-"""Pictures against OpenCV's projection, ray casts and closed forms."""
+"""Images against OpenCV's projection, ray casts and closed forms."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def scene(objects: dict[str, ObjectModel]) -> Iterator[Scene]:
     scene.close()
 
 
-def stand(scene: Scene, **places: tuple[float, float, float]) -> dict[str, np.ndarray]:
+def place_objects(scene: Scene, **places: tuple[float, float, float]) -> dict[str, np.ndarray]:
     """Stands objects upright at (x, y, yaw) and shows them; their poses."""
     props = {
         name: Prop(PlacedObject(scene.stable_poses[name][0], np.array([x, y]), yaw))
@@ -58,7 +58,7 @@ def test_a_small_ball_is_drawn_where_opencv_projects_it(
 ) -> None:
     height, width = size
     off_center = np.array([[700.0, 0, 0.31 * width], [0, 640.0, 0.66 * height], [0, 0, 1]])
-    T_world_obj = stand(scene, marker=(0.03, -0.02, 0.5))["marker"]
+    T_world_obj = place_objects(scene, marker=(0.03, -0.02, 0.5))["marker"]
     rng = np.random.default_rng(0)
     errors = []
     with SceneRenderer(scene, height, width) as renderer:
@@ -77,8 +77,8 @@ def test_a_small_ball_is_drawn_where_opencv_projects_it(
     assert np.abs(errors).max() < 0.25
 
 
-def test_a_crop_is_rendered_exactly_as_it_is_cut_from_the_full_picture(scene: Scene) -> None:
-    stand(scene, brick=(0.0, 0.0, 0.3), post=(0.1, 0.1, 0.0))
+def test_a_rendered_crop_equals_the_crop_of_the_full_image(scene: Scene) -> None:
+    place_objects(scene, brick=(0.0, 0.0, 0.3), post=(0.1, 0.1, 0.0))
     T = view_sphere_pose(np.zeros(3), 0.8, 0.2, 0.6)
     full = SceneRenderer(scene).render(T, depth=True, masks=True)
     left, top, side = 260, 170, 128
@@ -91,7 +91,9 @@ def test_a_crop_is_rendered_exactly_as_it_is_cut_from_the_full_picture(scene: Sc
 
 
 def test_depth_agrees_with_a_ray_cast(scene: Scene) -> None:
-    poses = stand(scene, brick=(0.02, 0.0, 0.3), cone=(-0.1, 0.05, 0.0), ring=(0.05, 0.15, 0.0))
+    poses = place_objects(
+        scene, brick=(0.02, 0.0, 0.3), cone=(-0.1, 0.05, 0.0), ring=(0.05, 0.15, 0.0)
+    )
     T = view_sphere_pose(np.array([0, 0, 0.03]), 0.9, 0.7, 0.55)
     frame = SceneRenderer(scene, 480, 640).render(T, depth=True, masks=True)
     meshes = [
@@ -141,7 +143,9 @@ def ray_cast(
 
 
 def test_instances_are_numbered_as_they_are_named(scene: Scene) -> None:
-    poses = stand(scene, ball=(0.0, 0.0, 0.0), slab=(0.0, 0.25, 0.0), post=(0.0, -0.25, 0.0))
+    poses = place_objects(
+        scene, ball=(0.0, 0.0, 0.0), slab=(0.0, 0.25, 0.0), post=(0.0, -0.25, 0.0)
+    )
     T = view_sphere_pose(np.zeros(3), 1.2, 0.0, 0.9)
     frame = SceneRenderer(scene).render(T, masks=True)
     assert frame.object_names == ("ball", "slab", "post")
@@ -156,7 +160,7 @@ def test_visibility_of_a_half_hidden_box_is_what_geometry_says(scene: Scene) -> 
     # The camera looks level along +y at the slab's long side; a brick covers part of it.
     slab, brick = scene.objects["slab"].extents, scene.objects["brick"].extents
     x_brick, y_brick, y_slab, eye = 0.045, -0.1, 0.1, np.array([0.0, -0.9, slab[2] / 2])
-    stand(scene, slab=(0.0, y_slab, 0.0), brick=(x_brick, y_brick, 0.0))
+    place_objects(scene, slab=(0.0, y_slab, 0.0), brick=(x_brick, y_brick, 0.0))
     T = look_at(eye, np.array([0.0, 0.0, slab[2] / 2]))
     z_slab = y_slab - slab[1] / 2 - eye[1]
     half = slab[0] / 2 / z_slab
@@ -171,8 +175,8 @@ def test_visibility_of_a_half_hidden_box_is_what_geometry_says(scene: Scene) -> 
     assert visibility[1] == 1.0
 
 
-def test_what_is_out_of_the_picture_has_no_visibility(scene: Scene) -> None:
-    poses = stand(scene, ball=(0.0, 0.0, 0.0), post=(0.5, 0.0, 0.0))
+def test_objects_outside_of_the_image_have_no_visibility(scene: Scene) -> None:
+    poses = place_objects(scene, ball=(0.0, 0.0, 0.0), post=(0.5, 0.0, 0.0))
     T = look_at(np.array([0.0, -0.5, 0.4]), poses["ball"][:3, 3])
     K = np.array([[600.0, 0, 99.5], [0, 600.0, 99.5], [0, 0, 1]])
     assert scene.visibility(["ball", "post"], T, K, 200, 200).tolist() == [1.0, 0.0]
@@ -187,7 +191,7 @@ def test_textures_are_the_right_way_round() -> None:
     uv = (model.vertices[:, :2] / 0.2 + 0.5).astype(np.float32)
     model = dataclasses.replace(model, texture=texture, uv=uv)
     scene = Scene({"plate": model}, ALONE, Randomization.none())
-    T_world_obj = stand(scene, plate=(0.0, 0.0, 0.4))["plate"]
+    T_world_obj = place_objects(scene, plate=(0.0, 0.0, 0.4))["plate"]
     T = view_sphere_pose(np.zeros(3), 0.7, 0.3, 1.2)
     with SceneRenderer(scene) as renderer:
         rgb = renderer.render(T).rgb
@@ -208,7 +212,7 @@ def test_textures_are_the_right_way_round() -> None:
 def test_the_quick_image_looks_like_mujocos_default_quality(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stand(scene, brick=(0.0, 0.0, 0.3), post=(0.1, 0.1, 0.0), cone=(-0.1, 0.1, 0.0))
+    place_objects(scene, brick=(0.0, 0.0, 0.3), post=(0.1, 0.1, 0.0), cone=(-0.1, 0.1, 0.0))
     T = view_sphere_pose(np.zeros(3), 0.8, 0.2, 0.8)
     quick = SceneRenderer(scene).render(T).rgb.astype(int)
     monkeypatch.setattr(graphics, "SAMPLES", 4)
@@ -223,19 +227,19 @@ def test_the_quick_image_looks_like_mujocos_default_quality(
 
 def test_shadows_and_absent_objects(scene: Scene) -> None:
     T = view_sphere_pose(np.zeros(3), 0.8, 0.2, 1.0)
-    stand(scene, marker=(0.5, 0.3, 0.0))
+    place_objects(scene, marker=(0.5, 0.3, 0.0))
     renderer = SceneRenderer(scene)
     empty = renderer.render(T).rgb.astype(int)
-    stand(scene, marker=(0.5, 0.3, 0.0), post=(0.0, 0.0, 0.0))
+    place_objects(scene, marker=(0.5, 0.3, 0.0), post=(0.0, 0.0, 0.0))
     frame = renderer.render(T, masks=True)
     darker = (empty - frame.rgb).min(axis=2) > 8
     assert np.count_nonzero(darker & (frame.instances < 0)) > 300  # the post's shadow
-    stand(scene, marker=(0.5, 0.3, 0.0))
+    place_objects(scene, marker=(0.5, 0.3, 0.0))
     np.testing.assert_array_equal(renderer.render(T).rgb, empty)
 
 
 def test_closing_frees_and_rendering_opens_again(scene: Scene) -> None:
-    stand(scene, brick=(0.0, 0.0, 0.3))
+    place_objects(scene, brick=(0.0, 0.0, 0.3))
     T = view_sphere_pose(np.zeros(3), 0.8, 0.2, 0.8)
     renderer = SceneRenderer(scene, 96, 128)
     first = renderer.render(T).rgb
@@ -247,8 +251,8 @@ def test_closing_frees_and_rendering_opens_again(scene: Scene) -> None:
     renderer.close()
 
 
-def test_pictures_larger_than_the_buffer(scene: Scene) -> None:
-    stand(scene, brick=(0.0, 0.0, 0.3))
+def test_images_larger_than_the_buffer(scene: Scene) -> None:
+    place_objects(scene, brick=(0.0, 0.0, 0.3))
     T = view_sphere_pose(np.zeros(3), 0.8, 0.2, 0.8)
     K = np.array([[900.0, 0, 511.5], [0, 900.0, 359.5], [0, 0, 1]])
     frame = SceneRenderer(scene, 720, 1024).render(T, K, masks=True)
@@ -269,9 +273,9 @@ def test_wrong_input_is_refused(scene: Scene) -> None:
             SceneRenderer(scene, size, 32)
 
 
-def test_large_silhouettes_are_whole_and_do_not_enlarge_the_buffer(scene: Scene) -> None:
+def test_large_silhouettes_are_complete_and_do_not_enlarge_the_buffer(scene: Scene) -> None:
     """A window of three by two and a half buffers is what its parts are, one by one."""
-    stand(scene, brick=(0.0, 0.0, 0.4))
+    place_objects(scene, brick=(0.0, 0.0, 0.4))
     T_cam_world = look_at(np.array([0.12, 0.1, 0.14]), np.zeros(3))
     K = LINEMOD_K * [[2.0, 1, 1], [1, 2.0, 1], [1, 1, 1]] + [
         [0, 0, 600.0],

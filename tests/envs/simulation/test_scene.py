@@ -59,16 +59,16 @@ def test_episodes_compile_nothing(scene: Scene, monkeypatch: pytest.MonkeyPatch)
     model = scene.world.model
     monkeypatch.setattr(mujoco.MjSpec, "compile", refuse)
     renderer = SceneRenderer(scene, 60, 80)
-    pictures = []
+    images = []
     for seed in range(3):
         state = scene.reset(np.random.default_rng(seed), "ring")
-        pictures.append(renderer.render(state.T_cam_world).rgb)
+        images.append(renderer.render(state.T_cam_world).rgb)
     assert scene.world.model is model
-    assert (pictures[0] != pictures[1]).mean() > 0.5  # yet everything looks different
+    assert (images[0] != images[1]).mean() > 0.5  # yet everything looks different
 
 
 @pytest.mark.parametrize("kind", ["scene", "dense"])
-def test_what_is_placed_stays_put_under_physics(kind: str, request: pytest.FixtureRequest) -> None:
+def test_placed_objects_are_stable_under_physics(kind: str, request: pytest.FixtureRequest) -> None:
     scene: Scene = request.getfixturevalue(kind)
     model, data = scene.world.model, scene.data
     for seed in range(3):
@@ -102,7 +102,7 @@ def test_poses_are_exact_in_spite_of_mujocos_inertia_frames(scene: Scene) -> Non
         assert distances.min(axis=0).max() < 1e-6
 
 
-def test_a_linemod_scene_shows_its_target_whole(scene: Scene) -> None:
+def test_linemod_targets_are_unoccluded(scene: Scene) -> None:
     visibility = []
     for seed in range(15):
         target = scene.object_names[seed % 6]
@@ -125,7 +125,7 @@ def test_a_linemod_scene_shows_its_target_whole(scene: Scene) -> None:
     assert min(visibility) > 0.5 and np.mean(np.array(visibility) > 0.9) > 0.7
 
 
-def test_occlusion_is_spread_as_in_lmo(dense: Scene) -> None:
+def test_occlusion_visibility_is_distributed_as_in_lmo(dense: Scene) -> None:
     resets = [
         dense.reset(np.random.default_rng(seed), dense.object_names[seed % 6]).visibility
         for seed in range(36)
@@ -217,7 +217,7 @@ def test_an_object_without_its_mesh_is_not_drawn_as_a_box(objects: dict[str, Obj
         Scene({"brick": unseen})
 
 
-def test_tall_things_hide_the_target_of_an_occlusion_scene_from_many_sides(
+def test_occlusion_targets_are_occluded_from_many_sides(
     objects: dict[str, ObjectModel],
 ) -> None:
     seen = {}

@@ -14,18 +14,18 @@ def only(**parts: float) -> SensorConfig:
 
 
 def test_a_perfect_sensor_changes_nothing() -> None:
-    picture = np.random.default_rng(0).integers(0, 256, (50, 70, 3), dtype=np.uint8)
-    out = apply_sensor(picture, SensorConfig.none(), np.random.default_rng(1))
-    np.testing.assert_array_equal(out, picture)
-    assert out is not picture
+    image = np.random.default_rng(0).integers(0, 256, (50, 70, 3), dtype=np.uint8)
+    out = apply_sensor(image, SensorConfig.none(), np.random.default_rng(1))
+    np.testing.assert_array_equal(out, image)
+    assert out is not image
 
 
 def test_same_seed_same_bytes_and_another_seed_others() -> None:
-    picture = np.random.default_rng(0).integers(0, 256, (480, 640, 3), dtype=np.uint8)
+    image = np.random.default_rng(0).integers(0, 256, (480, 640, 3), dtype=np.uint8)
     first, again, other = (
-        apply_sensor(picture, SensorConfig(), np.random.default_rng(seed)) for seed in (3, 3, 4)
+        apply_sensor(image, SensorConfig(), np.random.default_rng(seed)) for seed in (3, 3, 4)
     )
-    assert first.dtype == np.uint8 and first.shape == picture.shape
+    assert first.dtype == np.uint8 and first.shape == image.shape
     np.testing.assert_array_equal(first, again)
     assert (first != other).any()
 
@@ -92,14 +92,14 @@ def test_wrong_input_is_refused() -> None:
 def test_one_camera_keeps_its_exposure_and_is_not_always_as_sharp() -> None:
     config = SensorConfig(noise=0.0, jpeg_probability=0.0)
     rng = np.random.default_rng(7)
-    camera = SensorState.draw(config, rng)
+    camera = SensorState.sample(config, rng)
     flat = [camera.resample_blur(config, rng).apply(GRAY, rng) for _ in range(5)]
-    assert all((picture == flat[0]).all() for picture in flat)
+    assert all((image == flat[0]).all() for image in flat)
     edge = np.zeros((40, 40, 3), dtype=np.uint8)
     edge[:, 20:] = 200
     sharpness = [
         int(camera.resample_blur(config, rng).apply(edge, rng)[20, 19, 1]) for _ in range(20)
     ]
     assert len(set(sharpness)) > 5
-    other = SensorState.draw(config, rng).apply(GRAY, rng)
+    other = SensorState.sample(config, rng).apply(GRAY, rng)
     assert (other != flat[0]).any()

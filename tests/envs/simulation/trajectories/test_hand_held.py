@@ -5,7 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from two_view_pose.core.geometry import LINEMOD_K, invert, project, transform
 from two_view_pose.envs.simulation.camera import CameraRange
-from two_view_pose.envs.simulation.trajectories.hand_held import LOWEST, hand_held_path, slow_drift
+from two_view_pose.envs.simulation.trajectories.hand_held import (
+    MIN_HEIGHT,
+    hand_held_path,
+    slow_drift,
+)
 
 CAMERAS = CameraRange(roll=np.deg2rad(12.0), look_at_noise=0.15)
 TREMOR = 0.0005
@@ -57,10 +61,10 @@ def test_cameras_stay_in_range_and_above_the_table(paths) -> None:
         assert distance.min() >= 0.6 - TREMOR and distance.max() <= 1.4 + TREMOR
         elevation = np.rad2deg(np.arcsin(rays[:, 2] / distance))
         assert elevation.min() > 6.9 and elevation.max() < 82.1
-        assert places(path)[:, 2].min() >= LOWEST - TREMOR
+        assert places(path)[:, 2].min() >= MIN_HEIGHT - TREMOR
 
 
-def test_the_scene_stays_in_the_picture(paths) -> None:
+def test_the_scene_stays_in_the_image(paths) -> None:
     for center, path in paths:
         uv = np.array([project(transform(T, center), LINEMOD_K) for T in path])
         assert (uv > (160, 120)).all() and (uv < (480, 360)).all()

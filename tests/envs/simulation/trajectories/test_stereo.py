@@ -97,8 +97,8 @@ def test_the_left_cameras_are_those_of_single_views(config: GenerateConfig) -> N
     ("change", "message"),
     [
         ({"views": 3}, "views must be even with a stereo rig .* got 3"),
-        ({"stereo_baseline": 0.0}, "stereo_baseline must be above 0 and at most 0.3 m, got 0.0"),
-        ({"stereo_baseline": 12.0}, "stereo_baseline must be above 0 and at most 0.3 m, got 12.0"),
+        ({"stereo_baseline": 0.0}, "stereo_baseline must be > 0 and <= 0.3 m, got 0.0"),
+        ({"stereo_baseline": 12.0}, "stereo_baseline must be > 0 and <= 0.3 m, got 12.0"),
     ],
 )
 def test_wrong_settings_are_named(tmp_path: Path, change, message) -> None:
