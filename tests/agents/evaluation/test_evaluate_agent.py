@@ -115,8 +115,8 @@ def test_wrong_arguments() -> None:
     for fields, message in (
         ({"policy": ()}, "at least one policy"),
         ({"policy": ("random", "random")}, "each policy once"),
-        ({"episodes": 0}, "episodes must be at least 1, got 0"),
-        ({"seed": -1}, "seed must be at least 0, got -1"),
+        ({"episodes": 0}, "episodes must be >= 1, got 0"),
+        ({"seed": -1}, "seed must be >= 0, got -1"),
     ):
         with pytest.raises(ValueError, match=message):
             evaluation(**fields)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from two_view_pose.agents.evaluation.outcomes import (
     Outcome,
+    display_name,
     gap_closed,
     make_records,
     print_table,
-    short,
 )
 
 
@@ -104,8 +104,8 @@ def test_large_errors_are_capped() -> None:
 
 
 def test_files_are_called_by_their_folders() -> None:
-    assert short("runs/ppo-1/policy.safetensors") == "ppo-1"
-    assert short("max-baseline") == "max-baseline"
+    assert display_name("runs/ppo-1/policy.safetensors") == "ppo-1"
+    assert display_name("max-baseline") == "max-baseline"
 
 
 @pytest.mark.parametrize("names", [("max-baseline", "oracle"), ("random", "runs/ppo/policy")])

@@ -68,7 +68,7 @@ def test_tensors_with_two_names_are_stored_once(agent: Path) -> None:
     for wrong in ({"a": "nowhere"}, {"a": 3}, ["a"]):
         content = {**asdict(header), "aliases": wrong}
         save_file(tensors, agent, {"header": json.dumps(content)})
-        with pytest.raises(ValueError, match=r"damaged header|not a whole safetensors file"):
+        with pytest.raises(ValueError, match=r"corrupted header|not a complete safetensors file"):
             read_agent(agent)
 
 
@@ -101,12 +101,12 @@ def test_nothing_in_a_file_is_executed(tmp_path: Path, agent: Path, config: Make
     torch.save(Bomb(crater), tmp_path / "torch.safetensors")
     sb3.PPO("MultiInputPolicy", env, n_steps=8, batch_size=8).save(tmp_path / "sb3.zip")
     for name in (*bombs, "torch.safetensors", "sb3.zip"):
-        with pytest.raises(ValueError, match=r"(not loaded|not a whole safetensors file)"):
+        with pytest.raises(ValueError, match=r"(not loaded|not a complete safetensors file)"):
             make_policy(tmp_path / name, env)
         folder = tmp_path / f"resume-{name}"
         folder.mkdir()
         (folder / CHECKPOINT).write_bytes((tmp_path / name).read_bytes())
-        with pytest.raises(ValueError, match=r"(not loaded|not a whole safetensors file)"):
+        with pytest.raises(ValueError, match=r"(not loaded|not a complete safetensors file)"):
             train_agent(config(out=folder.name, steps=64))
     header, tensors = read_agent(agent)
     for kwargs in (
@@ -135,7 +135,7 @@ def test_damaged_files_are_refused(tmp_path: Path, agent: Path) -> None:
 
     for damaged in (b"", b"\0" * 100, content[:-100], content[:50], b"\xff" * 8 + content[8:]):
         bad.write_bytes(damaged)
-        refused("not a whole safetensors file")
+        refused("not a complete safetensors file")
     save_file(tensors, bad)
     refused("has no header")
     save_file(tensors, bad, {"header": "{"})
@@ -143,7 +143,7 @@ def test_damaged_files_are_refused(tmp_path: Path, agent: Path) -> None:
     save_file(tensors, bad, {"header": json.dumps({"format": "another 7"})})
     refused("must have the format")
     save_file(tensors, bad, {"header": json.dumps({"format": header.format, "algo": "ppo"})})
-    refused("damaged header: .* missing")
+    refused("corrupted header: .* missing")
     write_agent(bad, replace(header, algo="a2c"), tensors)
     refused("algo must be one of ppo, sac, dqn, greedy, got 'a2c'")
     write_agent(bad, replace(header, hyperparameters={"color": 1}), tensors)

@@ -21,8 +21,8 @@ from two_view_pose.agents.policies.trained import channels_first
 from two_view_pose.agents.training.config import TrainAgentConfig
 from two_view_pose.agents.training.error_regression import (
     ErrorDataset,
-    chosen_slots,
-    train_agent_networks,
+    predicted_best_slots,
+    train_greedy_agent,
 )
 from two_view_pose.agents.training.train_agent import POLICY, train_agent
 from two_view_pose.core.geometry import project, transform
@@ -65,7 +65,7 @@ def test_one_seed_gives_one_set_of_weights(make_bank: Make) -> None:
     space = channels_first(gym.make(REPLAY, bank=bank))
     short = replace(QUICK, epochs=2)
     first, again, other = (
-        train_agent_networks(bank, space, short, seed, False).state_dict() for seed in (3, 3, 4)
+        train_greedy_agent(bank, space, short, seed, False).state_dict() for seed in (3, 3, 4)
     )
     for key, value in first.items():
         assert torch.equal(value, again[key]), key
@@ -75,8 +75,8 @@ def test_one_seed_gives_one_set_of_weights(make_bank: Make) -> None:
 def test_lines_of_sight_are_where_they_are_seen(make_bank: Make) -> None:
     bank = make_bank(6)
     space = channels_first(gym.make(REPLAY, bank=bank))
-    agent = train_agent_networks(bank, space, replace(QUICK, epochs=1), 0, False)
-    observations, views = ErrorDataset.of(bank).batch(torch.arange(6))
+    agent = train_greedy_agent(bank, space, replace(QUICK, epochs=1), 0, False)
+    observations, views = ErrorDataset.from_bank(bank).batch(torch.arange(6))
     places = agent.networks[0].line_of_sight(observations, views).numpy()
     widths = crop_widths(bank.header.diameters)
     for scene in range(6):
@@ -93,7 +93,7 @@ def test_lines_of_sight_are_where_they_are_seen(make_bank: Make) -> None:
 
 def test_a_mirrored_scene_has_the_same_targets(make_bank: Make) -> None:
     bank = make_bank(5)
-    plain, mirrored = ErrorDataset.of(bank), ErrorDataset.of(bank, mirrored=True)
+    plain, mirrored = ErrorDataset.from_bank(bank), ErrorDataset.from_bank(bank, mirrored=True)
     assert torch.equal(mirrored.observations["image"], plain.observations["image"].flip(3))
     signs = torch.tensor([1, -1, 1, 1, 1, -1, 1, 1, -1, 1, 1], dtype=torch.float32)
     torch.testing.assert_close(mirrored.views, plain.views * signs, atol=1e-5, rtol=0)
@@ -105,7 +105,7 @@ def test_the_policy_takes_what_its_networks_predict(trained: tuple[Path, ViewBan
     env = gym.make(REPLAY, bank=bank, travel_weight=0.0)
     policy = make_policy(path, env)
     assert isinstance(policy, GreedyPolicy)
-    slots = chosen_slots(policy._agent, bank)
+    slots = predicted_best_slots(policy.agent, bank)
     for scene in range(8):
         observation, _ = env.reset(options={"scene": scene})
         policy.reset(np.random.default_rng(0))
@@ -124,7 +124,7 @@ def test_the_classifier_knows_right_from_wrong(trained: tuple[Path, ViewBank]) -
     confidence = []
     for slot in range(24):
         now = first | {key: array[3, slot] for key, array in bank.second.items()}
-        confidence.append(policy._agent.confidence(first, now))
+        confidence.append(policy.agent.confidence(first, now))
     right = bank.second_error[3] < 0.1
     found = np.array(confidence)
     assert min(found[right]) > 0.8 and max(found[~right]) < 0.2

@@ -13,7 +13,7 @@ from two_view_pose.agents.policies.greedy import GreedyPolicy
 from two_view_pose.agents.policies.registry import make_policy
 from two_view_pose.agents.policies.trained import channels_first
 from two_view_pose.agents.training.config import TrainAgentConfig
-from two_view_pose.agents.training.error_regression import chosen_slots, train_agent_networks
+from two_view_pose.agents.training.error_regression import predicted_best_slots, train_greedy_agent
 from two_view_pose.agents.training.train_agent import train_agent
 from two_view_pose.envs.view_banks.bank import ViewBank
 
@@ -47,9 +47,7 @@ def test_greedy_learns(make_bank: Callable[..., ViewBank]) -> None:
     space = channels_first(gym.make(REPLAY, bank=bank))
     hyperparameters = GreedyHyperparameters(epochs=40, networks=1, width=6, features_dim=32)
     before = torch.cuda.get_rng_state()
-    agent = train_agent_networks(
-        bank, space, hyperparameters, 0, False, device=torch.device("cuda")
-    )
+    agent = train_greedy_agent(bank, space, hyperparameters, 0, False, device=torch.device("cuda"))
     assert torch.equal(before, torch.cuda.get_rng_state())
-    errors = bank.second_error[np.arange(60), chosen_slots(agent, bank)]
+    errors = bank.second_error[np.arange(60), predicted_best_slots(agent, bank)]
     assert agent.device.type == "cuda" and np.mean(errors < 0.1) > 0.8

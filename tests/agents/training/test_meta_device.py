@@ -22,7 +22,7 @@ from two_view_pose.agents.policies.greedy import GreedyAgent, GreedyPolicy, to_t
 from two_view_pose.agents.policies.registry import make_policy
 from two_view_pose.agents.policies.trained import channels_first
 from two_view_pose.agents.training.config import TrainAgentConfig
-from two_view_pose.agents.training.error_regression import chosen_slots, train_agent_networks
+from two_view_pose.agents.training.error_regression import predicted_best_slots, train_greedy_agent
 from two_view_pose.agents.training.train_agent import train_agent
 from two_view_pose.agents.training.training_state import state_tensors
 from two_view_pose.envs.view_banks.bank import ViewBank
@@ -73,13 +73,13 @@ def test_greedy_acts(bank: ViewBank) -> None:
     observation, _ = env.reset(seed=0)
     header = _header(env)
     expected = GreedyPolicy(agent, header, env).predict(observation)
-    slots = chosen_slots(agent, bank)
+    slots = predicted_best_slots(agent, bank)
     with meta_by_default():
         policy = GreedyPolicy(agent, header, env)
         np.testing.assert_array_equal(policy.predict(observation), expected)
         assert env.action_space.contains(policy.act(observation))
         assert 0 < agent.confidence(observation, observation) < 1
-        np.testing.assert_array_equal(chosen_slots(agent, bank), slots)
+        np.testing.assert_array_equal(predicted_best_slots(agent, bank), slots)
 
 
 def test_greedy_takes_its_inputs_to_the_networks(bank: ViewBank) -> None:
@@ -90,7 +90,7 @@ def test_greedy_takes_its_inputs_to_the_networks(bank: ViewBank) -> None:
     # All but the way back, since there are no numbers to bring.
     for ask in (
         lambda: policy.predict(observation),
-        lambda: chosen_slots(agent, bank),
+        lambda: predicted_best_slots(agent, bank),
     ):
         with pytest.raises(NotImplementedError, match="Cannot copy out of meta tensor"):
             ask()
@@ -112,9 +112,9 @@ def test_shipped_agents_act(name: str) -> None:
 
 
 def test_supervised_training(bank: ViewBank, space: spaces.Dict) -> None:
-    expected = train_agent_networks(bank, space, QUICK, 3, False, bank).state_dict()
+    expected = train_greedy_agent(bank, space, QUICK, 3, False, bank).state_dict()
     with meta_by_default():
-        found = train_agent_networks(bank, space, QUICK, 3, False, bank).state_dict()
+        found = train_greedy_agent(bank, space, QUICK, 3, False, bank).state_dict()
     for key, value in expected.items():
         assert torch.equal(value, found[key]), key
 
@@ -122,7 +122,7 @@ def test_supervised_training(bank: ViewBank, space: spaces.Dict) -> None:
 def test_supervised_training_takes_its_datasets_to_the_networks(
     bank: ViewBank, space: spaces.Dict
 ) -> None:
-    agent = train_agent_networks(bank, space, QUICK, 3, False, bank, META)
+    agent = train_greedy_agent(bank, space, QUICK, 3, False, bank, META)
     assert {parameter.device.type for parameter in agent.parameters()} == {"meta"}
 
 

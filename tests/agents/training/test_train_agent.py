@@ -186,9 +186,9 @@ def test_training_resumes_on_another_device(config: Make, monkeypatch: pytest.Mo
 
 
 def test_wrong_arguments(config: Make) -> None:
-    with pytest.raises(ValueError, match="steps must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="steps must be >= 1, got 0"):
         config(steps=0)
-    with pytest.raises(ValueError, match="seed must be at least 0"):
+    with pytest.raises(ValueError, match="seed must be >= 0"):
         config(seed=-1)
     with pytest.raises(ValueError, match="plain data"):
         train_agent(config(env_kwargs={"gain": np.float32}))
