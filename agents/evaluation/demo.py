@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -19,9 +19,6 @@ from ...core.files import write_atomically
 from ...core.results import write_results
 from ...core.validation import require_within
 from ...envs.simulation.scene_kinds import SceneKindName
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 
 @dataclass(frozen=True)
@@ -65,12 +62,8 @@ def demo(config: DemoConfig) -> None:
     start = perf_counter()
     from ..policies.registry import make_policy
 
-    env = gym.make(
-        f"two_view_pose:{config.env}",
-        scene=config.scene,
-        device=config.device,
-        render_mode="rgb_array",
-    )
+    arguments = {"scene": config.scene, "device": config.device, "render_mode": "rgb_array"}
+    env = gym.make(f"two_view_pose:{config.env}", **arguments)
     try:
         policy = make_policy(config.policy, env, config.device)
         options = {} if config.object is None else {"object": config.object}
@@ -92,42 +85,33 @@ def demo(config: DemoConfig) -> None:
 def make_records(config: DemoConfig, info: dict[str, Any]) -> list[dict[str, Any]]:
     """Makes the records of the results file; ``views`` is the number of views of the estimate."""
     tags = {"object": info["object"], "scene": config.scene, "policy": config.policy}
-    errors = (info["ground_truth"]["add_first"], info["ground_truth"]["add_second"])
-    ratios = [error / info["diameter"] for error in errors]
-    return [
-        *(
-            {"metric": "add_over_diameter", "value": ratio, "unit": "1", "views": views, **tags}
-            for views, ratio in enumerate(ratios, start=1)
-        ),
-        {"metric": "travel", "value": info["travel"], "unit": "m", **tags},
-    ]
-
-
-def make_table(info: dict[str, Any]) -> Table:
-    """The pose error before and after the second view."""
-    from rich.table import Table
-
-    truth = info["ground_truth"]
-    table = Table()
-    for title in ("pose from", "ADD(-S)", "of the diameter", "below a tenth"):
-        table.add_column(title, justify="left" if title == "pose from" else "right")
-    for name, key in (("the first view", "add_first"), ("both views", "add_second")):
-        ratio = truth[key] / info["diameter"]
-        success = "yes" if ratio < 0.1 else "no"
-        table.add_row(name, f"{1e3 * truth[key]:.1f} mm", f"{100 * ratio:.1f} %", success)
-    return table
+    records = [{"metric": "travel", "value": info["travel"], "unit": "m", **tags}]
+    for views, key in ((2, "add_second"), (1, "add_first")):
+        ratio = info["ground_truth"][key] / info["diameter"]
+        record = {"metric": "add_over_diameter", "value": ratio, "unit": "1", "views": views}
+        records.insert(0, record | tags)
+    return records
 
 
 def _print(config: DemoConfig, info: dict[str, Any], seconds: float) -> None:
+    """Prints the pose error before and after the second view."""
     from rich.console import Console
+    from rich.table import Table
 
+    truth, diameter = info["ground_truth"], info["diameter"]
+    table = Table("pose from")
+    for title in ("ADD(-S)", "of the diameter", "below a tenth"):
+        table.add_column(title, justify="right")
+    for name, key in (("the first view", "add_first"), ("both views", "add_second")):
+        ratio = truth[key] / diameter
+        success = "yes" if ratio < 0.1 else "no"
+        table.add_row(name, f"{1e3 * truth[key]:.1f} mm", f"{100 * ratio:.1f} %", success)
     console = Console(highlight=False)
-    visible = 100 * info["ground_truth"]["visibility"]
     console.print(
-        f"object       {info['object']}, {1e3 * info['diameter']:.0f} mm in diameter, "
-        f"{visible:.0f} % of it visible in the first view\n"
+        f"object       {info['object']}, {1e3 * diameter:.0f} mm in diameter, "
+        f"{100 * truth['visibility']:.0f} % of it visible in the first view\n"
         f"second view  {info['baseline_deg']:.0f} degrees from the first, chosen by "
         f"{config.policy}; it moved {info['travel']:.2f} m"
     )
-    console.print(make_table(info))
+    console.print(table)
     console.print(f"image        {config.out}   ({seconds:.1f} s in all)")

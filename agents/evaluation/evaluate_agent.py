@@ -95,9 +95,8 @@ def run_episodes(
     Raises:
         InputError: if the environment has no estimator.
     """
-    outcomes: dict[str, list[Outcome]] = {STAY: []}
     moving = {name: policy for name, policy in policies.items() if name != STAY}
-    outcomes |= {name: [] for name in moving}
+    outcomes: dict[str, list[Outcome]] = {name: [] for name in (STAY, *moving)}
     bar = tqdm(total=len(scenes) * max(1, len(moving)), unit="episode", disable=not progress)
     for arguments, sequence in scenes:
         first, info = env.reset(**arguments)
@@ -189,12 +188,13 @@ def _title(config: EvaluateAgentConfig, scene: str, bank: ViewBank | None) -> st
 
 
 def _command(config: EvaluateAgentConfig) -> str:
-    parts = ["evaluate-agent", "--policy", *config.policy]
-    if config.bank is None:
-        parts += ["--scene", config.scene, "--episodes", str(config.episodes or EPISODES)]
-    else:
-        parts += ["--bank", os.fspath(config.bank)]
-        parts += ["--episodes", str(config.episodes)] if config.episodes else []
-    parts += ["--seed", str(config.seed)]
-    parts += ["--seeds", str(config.seeds)] if config.seeds > 1 else []
-    return shlex.join(parts)
+    live = config.bank is None
+    options = {
+        "--scene": config.scene if live else None,
+        "--bank": config.bank,
+        "--episodes": config.episodes or (EPISODES if live else None),
+        "--seed": config.seed,
+        "--seeds": config.seeds if config.seeds > 1 else None,
+    }
+    given = [str(part) for option in options.items() if option[1] is not None for part in option]
+    return shlex.join(["evaluate-agent", "--policy", *config.policy, *given])

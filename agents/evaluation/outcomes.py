@@ -113,11 +113,13 @@ def make_records(outcomes: Mapping[str, Sequence[Outcome]], scene: str) -> list[
 
 
 def _records(results: Sequence[Outcome], tags: Mapping[str, Any]) -> list[dict[str, Any]]:
-    n = len(per_scene(results, lambda r: r.views))
-    return [
-        {"metric": metric, "value": value, "unit": unit, **tags, "n": n, "low": low, "high": high}
-        for metric, unit, (value, low, high) in statistics(results)
-    ]
+    tags = {**tags, "n": len(per_scene(results, lambda r: r.views))}
+    return [_record(metric, unit, interval, tags) for metric, unit, interval in statistics(results)]
+
+
+def _record(metric: str, unit: str, interval: Interval, tags: Mapping[str, Any]) -> dict[str, Any]:
+    value, low, high = interval
+    return {"metric": metric, "value": value, "unit": unit, **tags, "low": low, "high": high}
 
 
 def statistics(results: Sequence[Outcome]) -> list[tuple[str, str, Interval]]:
@@ -154,11 +156,8 @@ def _comparisons(outcomes: Mapping[str, Sequence[Outcome]], scene: str) -> list[
             closed = gap_closed(capped[policy], reference, oracle)
             found |= {"gap_closed": closed} if closed is not None else {}
             found["regret"] = _paired(capped[policy] - oracle)
-        records += [
-            {"metric": metric, "value": value, "unit": "1", "policy": policy, **tags,
-             "low": low, "high": high}
-            for metric, (value, low, high) in found.items()
-        ]  # fmt: skip
+        own = {"policy": policy, **tags}
+        records += [_record(metric, "1", interval, own) for metric, interval in found.items()]
     return records
 
 

@@ -67,11 +67,7 @@ class GreedyHyperparameters:
 
 
 def check_hyperparameters(algo: str, entry: Mapping[str, Any]) -> None:
-    """Checks the names of an algorithm's hyper-parameters.
-
-    Raises:
-        InputError: if the algorithm, or an argument of it or of its policy, is unknown.
-    """
+    """Raises InputError if the algorithm, or an argument of it or of its policy, is unknown."""
     if algo == GREEDY:
         _check_names("hyper-parameters of greedy", entry, GreedyHyperparameters)
         return
@@ -94,11 +90,7 @@ def _check_names(what: str, names: Iterable[str], function: Any) -> None:
 
 
 def policy_kwargs(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Converts ``policy_kwargs`` of checked hyper-parameters to SB3's.
-
-    Raises:
-        InputError: if a class is not one of :data:`NAMED_CLASSES`.
-    """
+    """Converts ``policy_kwargs`` to SB3's; raises InputError if a class is not a named one."""
     kwargs = dict(entry.get("policy_kwargs", {}))
     for key, classes in NAMED_CLASSES.items():
         if key in kwargs:

@@ -67,8 +67,7 @@ class CandidateExtractor(BaseFeaturesExtractor):
 def load_pretrained_extractor(policy: nn.Module, path: Path) -> None:
     """Loads the first network of a greedy agent into all extractors of a policy.
 
-    Raises:
-        InputError: if the policy has no such extractor, or the file is not a greedy agent.
+    Raises InputError if the policy has no such extractor, or the file is not a greedy agent.
     """
     _, tensors = read_agent(path, prefix="policy/networks.0.")
     weights = subset(tensors, "policy/networks.0.")
@@ -107,9 +106,8 @@ def candidate_features(camera: Tensor, translation: Tensor) -> Tensor:
     azimuths, elevations = torch.tensor(
         np.deg2rad(CANDIDATE_VIEWS), dtype=camera.dtype, device=camera.device
     ).unbind(1)
-    x = torch.cos(elevations) * torch.cos(azimuths)
-    y = torch.cos(elevations) * torch.sin(azimuths)
-    z = torch.sin(elevations)
+    level, z = torch.cos(elevations), torch.sin(elevations)
+    x, y = level * torch.cos(azimuths), level * torch.sin(azimuths)
     in_camera = x[:, None] * ahead[:, None] + y[:, None] * side[:, None] + z[:, None] * up[:, None]
     cosine = torch.cos(elevation)[:, None] * x + torch.sin(elevation)[:, None] * z
     angle = torch.arccos(cosine.clamp(-1, 1))

@@ -67,11 +67,7 @@ class AgentHeader:
 
 
 def describe_space(space: spaces.Space) -> Any:
-    """Describes a Dict, Box or Discrete space as plain data.
-
-    Raises:
-        InputError: if it is another kind of space.
-    """
+    """Describes a Dict, Box or Discrete space as plain data; raises InputError for others."""
     if isinstance(space, spaces.Dict):
         return {key: describe_space(part) for key, part in sorted(space.spaces.items())}
     if isinstance(space, spaces.Discrete):
@@ -143,15 +139,10 @@ def read_agent(
         with safe_open(source, framework="pt") as file:
             header = _parse_header((file.metadata() or {}).get("header"), source)
             names = {key: key for key in file.keys()} | header.aliases  # noqa: SIM118
-            tensors = {
-                key: file.get_tensor(name).clone()
-                for key, name in names.items()
-                if key.startswith(prefix)
-            }
+            names = {key: name for key, name in names.items() if key.startswith(prefix)}
+            tensors = {key: file.get_tensor(name).clone() for key, name in names.items()}
     except (SafetensorError, OSError, TypeError) as error:
-        raise InputError(
-            f"agent file {source} is not a complete safetensors file: {error}"
-        ) from error
+        raise InputError(f"{source} is not a complete safetensors file: {error}") from error
     for key, tensor in tensors.items():
         if tensor.is_floating_point() and not torch.isfinite(tensor).all():
             raise InputError(f"agent file {source} is corrupted: {key} has NaN or infinite entries")

@@ -44,14 +44,7 @@ class Policy(Protocol):
 
 
 class ViewSpherePolicy(Policy):
-    """A policy that asks the environment about the views around the estimated object.
-
-    Args:
-        env: an environment with a view sphere.
-
-    Raises:
-        InputError: if it has none.
-    """
+    """A policy that queries the view sphere of its environment; InputError if it has none."""
 
     def __init__(self, env: gym.Env) -> None:
         self._env = check_view_sphere(env)

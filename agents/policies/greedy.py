@@ -93,11 +93,7 @@ def load_agent(
     source: str,
     device: torch.device,
 ) -> GreedyAgent:
-    """Builds the networks of an agent file on a device; ``source`` names it in errors.
-
-    Raises:
-        InputError: if the weights do not fit the header.
-    """
+    """Builds the networks; raises InputError, naming ``source``, if weights and header differ."""
     with torch.random.fork_rng(devices=[]):  # random initial weights leave the caller's RNG as is
         agent = GreedyAgent(observation_space, GreedyHyperparameters(**header.hyperparameters))
     check_tensors(weights, agent.state_dict(), source)

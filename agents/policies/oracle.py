@@ -13,11 +13,7 @@ from .view_sphere import Action, candidate_actions
 
 
 class OraclePolicy(ViewSpherePolicy):
-    """Takes the candidate of the lowest true error, which ``env.simulate_actions`` tells.
-
-    Raises:
-        InputError: if the environment has no ``simulate_actions``.
-    """
+    """Takes the candidate with the smallest true error, which ``simulate_actions`` gives."""
 
     def __init__(self, env: gym.Env) -> None:
         super().__init__(env)

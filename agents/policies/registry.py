@@ -33,11 +33,7 @@ def shipped_agents() -> dict[str, Path]:
 
 
 def agent_file(name_or_path: str | os.PathLike[str]) -> Path | None:
-    """The file of a trained policy; None for the name of a baseline.
-
-    Raises:
-        InputError: if it is neither a name nor a file.
-    """
+    """The file of a trained policy, None for a baseline; raises InputError if it is neither."""
     name, shipped = os.fspath(name_or_path), shipped_agents()
     if name in BASELINES:
         return None

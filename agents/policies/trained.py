@@ -71,22 +71,15 @@ def load_policy(path: str | os.PathLike[str], env: gym.Env, device: str = "auto"
 
 
 def channels_first(env: gym.Env) -> spaces.Dict:
-    """The observation space as SB3 trains on it: images with channels first.
-
-    Raises:
-        InputError: if it is not a Dict.
-    """
+    """The observation space with channels-first images; raises InputError if it is not a Dict."""
     space = env.observation_space
     if not isinstance(space, spaces.Dict):
         raise InputError(f"the environment's observation must be a Dict, got {space}")
-    return spaces.Dict(
-        {
-            key: VecTransposeImage.transpose_space(part)
-            if isinstance(part, spaces.Box) and is_image_space(part)
-            else part
-            for key, part in space.spaces.items()
-        }
-    )
+    parts = dict(space.spaces)
+    for key, part in parts.items():
+        if isinstance(part, spaces.Box) and is_image_space(part):
+            parts[key] = VecTransposeImage.transpose_space(part)
+    return spaces.Dict(parts)
 
 
 def _build(header: AgentHeader, space: spaces.Dict, action_space: spaces.Space) -> BasePolicy:

@@ -30,11 +30,7 @@ class UncertaintyPolicy(ViewSpherePolicy):
     """Takes the view after which the keypoints' covariances have the smallest trace."""
 
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
-        """Returns the view with the smallest variance; of two equal ones the first.
-
-        Raises:
-            InputError: if the environment has no estimator.
-        """
+        """Returns the best view, of equal ones the first; raises InputError without estimator."""
         estimate = self._env.estimate
         if estimate is None:
             raise InputError("uncertainty needs an environment with an estimator")

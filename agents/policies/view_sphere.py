@@ -22,11 +22,7 @@ Action = np.ndarray | int
 
 
 def check_view_sphere(env: gym.Env) -> Any:
-    """Returns the unwrapped environment.
-
-    Raises:
-        InputError: if it has no view sphere.
-    """
+    """Returns the unwrapped environment; raises InputError if it has no view sphere."""
     check_action_space(env.action_space)
     inner: Any = env.unwrapped
     if not hasattr(inner, "camera_pose"):
@@ -38,11 +34,7 @@ def check_view_sphere(env: gym.Env) -> Any:
 
 
 def check_action_space(space: spaces.Space[Any]) -> spaces.Box | spaces.Discrete:
-    """Returns the space.
-
-    Raises:
-        InputError: if it is neither a Box nor Discrete.
-    """
+    """Returns the space; raises InputError unless it is a Box or Discrete."""
     if not isinstance(space, spaces.Box | spaces.Discrete):
         raise InputError(f"action space must be Box or Discrete, got {space}")
     return space

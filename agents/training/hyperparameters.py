@@ -32,13 +32,11 @@ def load_hyperparameters(algo: str, env_id: str, path: Path | None = None) -> di
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise InputError(f"hyper-parameter file {source} cannot be read: {error}") from error
     table = document.get(algo) if isinstance(document, dict) else None
-    known = table if isinstance(table, dict) else {}
-    entry = known.get(env_id)
+    entries = table if isinstance(table, dict) else {}
+    entry = entries.get(env_id)
     if not isinstance(entry, dict):
-        raise InputError(
-            f"hyper-parameter file {source} has no entry {algo}: {env_id} "
-            f"(for {algo} it has {', '.join(sorted(known)) or 'none'})"
-        )
+        names = ", ".join(sorted(entries)) or "none"
+        raise InputError(f"{source} has no entry {algo}: {env_id} (for {algo} it has {names})")
     check_hyperparameters(algo, entry)
     return entry
 

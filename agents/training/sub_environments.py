@@ -65,11 +65,7 @@ class SharedEstimatorVecEnv(DummyVecEnv):
         self._vector = DictInfoToList(vector)
 
     def reset(self) -> VecEnvObs:
-        """Resets every sub-environment with the seeds and options that were set.
-
-        Raises:
-            InputError: if the options of sub-environments differ.
-        """
+        """Resets every sub-environment; raises InputError if their options differ."""
         options = self._options[0]
         if any(own != options for own in self._options[1:]):
             raise InputError("options must be the same for all sub-environments")

@@ -28,9 +28,9 @@ from .training_state import counters, reseed, restore_state, state_tensors
 from .validation import (
     MIN_REWARD,
     POLICY,
+    ValidationCallback,
     make_env,
     make_header,
-    make_validation,
     record_missing,
     save_policy,
     split_bank,
@@ -75,7 +75,7 @@ def train_agent(config: TrainAgentConfig) -> Path:
         callbacks: list[BaseCallback] = [_Checkpoints(header, config)]
         if replay:
             model.best_mean_reward = MIN_REWARD  # type: ignore[attr-defined]
-            callbacks.append(make_validation(header, config, arguments | validation, n_envs))
+            callbacks.append(ValidationCallback(header, config, arguments | validation, n_envs))
         resumed = _resume(model, header, config)
         if resumed:
             print(f"Resuming {config.out} at step {model.num_timesteps} of {steps}.")

@@ -66,11 +66,7 @@ def state_tensors(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
 def restore_state(
     model: BaseAlgorithm, tensors: Mapping[str, torch.Tensor], values: Mapping[str, float]
 ) -> None:
-    """Restores the results of `state_tensors` and `counters` in a new model.
-
-    Raises:
-        InputError: if something is missing or of the wrong shape.
-    """
+    """Restores a new model from `state_tensors` and `counters`; raises InputError if incomplete."""
     missing = sorted(set(counters(model)) - set(values))
     if missing:
         raise InputError(f"checkpoint's counters lack {', '.join(missing)}")
@@ -117,10 +113,8 @@ def _replay_arrays(buffer: DictReplayBuffer, count: int) -> dict[str, np.ndarray
 def _restore_replay(buffer: DictReplayBuffer, tensors: dict[str, torch.Tensor]) -> None:
     position, count = int(tensors.pop("position", -1)), len(tensors.get("rewards", ()))
     if not 0 <= position < buffer.buffer_size or count not in (position, buffer.buffer_size):
-        raise InputError(
-            f"checkpoint's replay buffer of {buffer.buffer_size} has {count} entries at position "
-            f"{position}"
-        )
+        size = buffer.buffer_size
+        raise InputError(f"replay buffer of {size} has {count} entries at position {position}")
     arrays = _replay_arrays(buffer, count)
     expected = {name: torch.from_numpy(array) for name, array in arrays.items()}
     check_tensors(tensors, expected, "checkpoint's replay buffer")

@@ -41,8 +41,7 @@ def record_missing(config: TrainAgentConfig) -> None:
 def split_bank(config: TrainAgentConfig) -> tuple[dict[str, Any], dict[str, Any]]:
     """Arguments of the replay environment for training and for validation.
 
-    Raises:
-        InputError: if there is no such bank, or it has too few scenes.
+    Raises InputError if there is no such bank, or it has too few scenes.
     """
     from ...envs.replay import load_bank_cached
 
@@ -56,14 +55,23 @@ def split_bank(config: TrainAgentConfig) -> tuple[dict[str, Any], dict[str, Any]
     return {"scenes": (0, split), "mirror": True}, {"scenes": (split, scenes), "shuffle": False}
 
 
-class _Validation(EvalCallback):
-    """Writes the best policy; stores the best reward in the model, and so in checkpoints."""
+class ValidationCallback(EvalCallback):
+    """Validates the policy and writes the best one, whose reward is stored in the model."""
 
     model: Any
 
-    def __init__(self, venv: VecEnv, header: AgentHeader, out: Path, **settings: Any) -> None:
-        super().__init__(venv, **settings)
-        self._header, self._out = header, out
+    def __init__(
+        self, header: AgentHeader, config: TrainAgentConfig, arguments: dict[str, Any], n_envs: int
+    ) -> None:
+        make = functools.partial(make_env, config.env_id, arguments)
+        venv = make_vec_env(make, n_envs=1, seed=config.seed, vec_env_cls=DummyVecEnv)
+        super().__init__(
+            VecTransposeImage(venv),
+            n_eval_episodes=config.validation,
+            eval_freq=max(1, config.evaluate_every // n_envs),
+            verbose=0,
+        )
+        self._header, self._out = header, config.out
 
     def _init_callback(self) -> None:
         super()._init_callback()
@@ -75,22 +83,6 @@ class _Validation(EvalCallback):
             self.model.best_mean_reward = self.best_mean_reward
             save_policy(self.model, self._header, self._out)
         return result
-
-
-def make_validation(
-    header: AgentHeader, config: TrainAgentConfig, arguments: dict[str, Any], n_envs: int
-) -> EvalCallback:
-    """Makes the callback that validates the policy and keeps the best one."""
-    make = functools.partial(make_env, config.env_id, arguments)
-    return _Validation(
-        VecTransposeImage(make_vec_env(make, n_envs=1, seed=config.seed, vec_env_cls=DummyVecEnv)),
-        header,
-        config.out,
-        n_eval_episodes=config.validation,
-        eval_freq=max(1, config.evaluate_every // n_envs),
-        deterministic=True,
-        verbose=0,
-    )
 
 
 def save_policy(model: BaseAlgorithm, header: AgentHeader, out: Path) -> None:
@@ -106,11 +98,7 @@ def make_header(
     n_envs: int = 1,
     steps: int = 0,
 ) -> AgentHeader:
-    """Makes the metadata of an agent file.
-
-    Raises:
-        InputError: if the environment's arguments are not plain data.
-    """
+    """Makes the header of an agent file; raises InputError if ``env_kwargs`` is not plain data."""
     arguments = config.environment_arguments
     try:
         env_kwargs = json.loads(json.dumps(arguments))

@@ -1,4 +1,4 @@
-"""The networks that predict errors: they look where a view would be blocked, and learn from it."""
+"""The greedy agent: error prediction, line-of-sight sampling and success classification."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ViewBank]:
     return train_agent(config), bank
 
 
-def test_it_learns_which_side_is_blocked(trained: tuple[Path, ViewBank], make_bank: Make) -> None:
+def test_greedy_learns_the_occluded_side(trained: tuple[Path, ViewBank], make_bank: Make) -> None:
     path, _ = trained
     env = gym.make(REPLAY, bank=make_bank(40, seed=9))
     policies = {name: make_policy(name, env) for name in ("random", "oracle", str(path))}
@@ -60,7 +60,7 @@ def test_it_learns_which_side_is_blocked(trained: tuple[Path, ViewBank], make_ba
     assert recall[str(path)] > 0.85
 
 
-def test_one_seed_gives_one_set_of_weights(make_bank: Make) -> None:
+def test_training_is_reproducible(make_bank: Make) -> None:
     bank = make_bank(12)
     space = channels_first(gym.make(REPLAY, bank=bank))
     short = replace(QUICK, epochs=2)
@@ -72,7 +72,7 @@ def test_one_seed_gives_one_set_of_weights(make_bank: Make) -> None:
     assert any(not torch.equal(value, other[key]) for key, value in first.items())
 
 
-def test_lines_of_sight_are_where_they_are_seen(make_bank: Make) -> None:
+def test_line_of_sight_matches_projection(make_bank: Make) -> None:
     bank = make_bank(6)
     space = channels_first(gym.make(REPLAY, bank=bank))
     agent = train_greedy_agent(bank, space, replace(QUICK, epochs=1), 0, False)
@@ -91,7 +91,7 @@ def test_lines_of_sight_are_where_they_are_seen(make_bank: Make) -> None:
             np.testing.assert_allclose(places[scene, slot], expected, atol=0.03)
 
 
-def test_a_mirrored_scene_has_the_same_targets(make_bank: Make) -> None:
+def test_mirrored_dataset(make_bank: Make) -> None:
     bank = make_bank(5)
     plain, mirrored = ErrorDataset.from_bank(bank), ErrorDataset.from_bank(bank, mirrored=True)
     assert torch.equal(mirrored.observations["image"], plain.observations["image"].flip(3))
@@ -100,7 +100,7 @@ def test_a_mirrored_scene_has_the_same_targets(make_bank: Make) -> None:
     assert torch.equal(mirrored.errors, plain.errors)
 
 
-def test_the_policy_takes_what_its_networks_predict(trained: tuple[Path, ViewBank]) -> None:
+def test_policy_takes_the_smallest_predicted_error(trained: tuple[Path, ViewBank]) -> None:
     path, bank = trained
     env = gym.make(REPLAY, bank=bank, travel_weight=0.0)
     policy = make_policy(path, env)
@@ -117,7 +117,7 @@ def test_the_policy_takes_what_its_networks_predict(trained: tuple[Path, ViewBan
     np.testing.assert_allclose(info["T_cam_world"], bank.second_T_cam_world[2, slots[2]])
 
 
-def test_the_classifier_knows_right_from_wrong(trained: tuple[Path, ViewBank]) -> None:
+def test_success_classifier_separates_correct_poses(trained: tuple[Path, ViewBank]) -> None:
     path, bank = trained
     policy = make_policy(path, gym.make(REPLAY, bank=bank))
     first = {key: array[3] for key, array in bank.first.items()}
@@ -130,13 +130,11 @@ def test_the_classifier_knows_right_from_wrong(trained: tuple[Path, ViewBank]) -
     assert min(found[right]) > 0.8 and max(found[~right]) < 0.2
 
 
-def test_a_file_that_does_not_fit_is_refused(
-    trained: tuple[Path, ViewBank], tmp_path: Path
-) -> None:
-    whole, bank = trained
+def test_incompatible_file_is_rejected(trained: tuple[Path, ViewBank], tmp_path: Path) -> None:
+    source, bank = trained
     env = gym.make(REPLAY, bank=bank)
-    header, tensors = read_agent(whole)
-    assert header.algo == "greedy" and whole.name == POLICY
+    header, tensors = read_agent(source)
+    assert header.algo == "greedy" and source.name == POLICY
     path = tmp_path / POLICY
     write_agent(path, header, {k: v for k, v in tensors.items() if "judge" not in k})
     with pytest.raises(ValueError, match="does not fit: missing"):
@@ -145,5 +143,5 @@ def test_a_file_that_does_not_fit_is_refused(
     write_agent(path, replace(header, observation_space=space), tensors)
     with pytest.raises(ValueError, match="with the observation space"):
         make_policy(path, env)
-    with pytest.raises(ValueError, match="greedy learns from a bank"):
+    with pytest.raises(ValueError, match="greedy needs --bank"):
         TrainAgentConfig(algo="greedy")

@@ -1,4 +1,4 @@
-"""Agents on a CUDA GPU, where there is one."""
+"""Agents on a CUDA GPU, if available."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ pytestmark = [
 REPLAY = "two_view_pose:TwoViewPoseReplay-v0"
 
 
-def test_greedy_predicts_the_same() -> None:
+def test_greedy_predictions_equal_cpu() -> None:
     env = gym.make("two_view_pose:TwoViewPose-v0", estimator=None, resolution=(120, 160))
     observation, _ = env.reset(seed=0)
     here, there = (make_policy("greedy", env, device) for device in ("cpu", "cuda"))
@@ -34,7 +34,7 @@ def test_greedy_predicts_the_same() -> None:
     env.close()
 
 
-def test_a_ppo_update(config: Callable[..., TrainAgentConfig]) -> None:
+def test_ppo_update(config: Callable[..., TrainAgentConfig]) -> None:
     path = train_agent(config(steps=32, device="cuda"))
     env = gym.make("helpers.toy_env:ToyView-v0")
     observation, _ = env.reset(seed=0)
@@ -42,7 +42,7 @@ def test_a_ppo_update(config: Callable[..., TrainAgentConfig]) -> None:
     np.testing.assert_allclose(there.act(observation), here.act(observation), atol=1e-2)
 
 
-def test_greedy_learns(make_bank: Callable[..., ViewBank]) -> None:
+def test_greedy_training(make_bank: Callable[..., ViewBank]) -> None:
     bank = make_bank(60)
     space = channels_first(gym.make(REPLAY, bank=bank))
     hyperparameters = GreedyHyperparameters(epochs=40, networks=1, width=6, features_dim=32)
