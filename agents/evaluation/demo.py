@@ -1,12 +1,13 @@
-"""The command ``demo``: one episode from end to end, as numbers and as an image."""
+"""The command ``demo``: runs one episode, prints its errors and writes an image."""
 
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -16,28 +17,26 @@ from ...core.device import check_device
 from ...core.errors import InputError
 from ...core.files import write_atomically
 from ...core.results import write_results
+from ...core.validation import require_within
 from ...envs.simulation.scene_kinds import SceneKindName
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 
 @dataclass(frozen=True)
 class DemoConfig:
-    """One scene: a first view, a pose, a second view that a policy chooses, a better pose."""
+    """Run one episode: estimate a pose, choose a second view, and estimate the pose from both."""
 
     object: str | None = None
-    """Name of the object to look for; by default the seed draws one."""
+    """Name of the target object; by default a random one."""
     scene: SceneKindName = "occlusion"
-    """Light clutter, heavy clutter, an object between tall things, or in a heap."""
+    """Light clutter, heavy clutter, the target between tall objects, or a dense heap of objects."""
     policy: str = "greedy"
-    """Who chooses the second view: greedy (a trained agent that ships), random, fixed (30 degrees
-    to the side), above, max-baseline (farthest in angle), uncertainty, oracle (knows the truth),
-    or a file that train-agent wrote."""
+    """Policy of the second view: greedy (a shipped trained agent), random, fixed (30 degrees to the
+    side), above, max-baseline (farthest in angle), uncertainty, oracle (ground truth), or a file of
+    train-agent."""
     seed: int = 0
-    """Same seed, same scene."""
+    """Random seed of the scene."""
     env: Literal["TwoViewPose-v0", "TwoViewPoseDiscrete-v0"] = "TwoViewPose-v0"
-    """Any view on the sphere, or one of a fixed set."""
+    """Any view on the view sphere, or one of a fixed set."""
     device: str = "auto"
     """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
     `cuda:N` or `mps`."""
@@ -47,29 +46,24 @@ class DemoConfig:
     """File for machine-readable results."""
 
     def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise InputError(f"seed must be at least 0, got {self.seed}")
+        require_within(self, 0, math.inf, "seed")
         if self.policy == "stay":
-            raise InputError("policy stay takes no second view, and that is what demo is about")
+            raise InputError("policy must take a second view, got 'stay'")
 
 
 def demo(config: DemoConfig) -> None:
-    """Plays one episode, prints the error of the pose before and after, and writes the image.
+    """Runs one episode, prints the pose error before and after, and writes the image.
 
     Raises:
         InputError: if an option is wrong, there is no such device, or the weights are missing.
-        GraphicsUnavailable: if there is no OpenGL to draw with.
+        GraphicsUnavailable: if OpenGL is unavailable.
     """
     check_device(config.device)
-    started = perf_counter()
+    start = perf_counter()
     from ..policies.registry import make_policy
 
-    env = gym.make(
-        f"two_view_pose:{config.env}",
-        scene=config.scene,
-        device=config.device,
-        render_mode="rgb_array",
-    )
+    arguments = {"scene": config.scene, "device": config.device, "render_mode": "rgb_array"}
+    env = gym.make(f"two_view_pose:{config.env}", **arguments)
     try:
         policy = make_policy(config.policy, env, config.device)
         options = {} if config.object is None else {"object": config.object}
@@ -82,51 +76,42 @@ def demo(config: DemoConfig) -> None:
     image = io.BytesIO()
     Image.fromarray(frame).save(image, format="png")
     write_atomically(config.out, image.getvalue())
-    _print(config, info, perf_counter() - started)
+    _print(config, info, perf_counter() - start)
     if config.json is not None:
         command = f"demo --scene {config.scene} --policy {config.policy} --seed {config.seed}"
         write_results(config.json, make_records(config, info), command=command, seed=config.seed)
 
 
 def make_records(config: DemoConfig, info: dict[str, Any]) -> list[dict[str, Any]]:
-    """The numbers of the results file; ``views`` says how many views the pose is from."""
+    """Makes the records of the results file; ``views`` is the number of views of the estimate."""
     tags = {"object": info["object"], "scene": config.scene, "policy": config.policy}
-    errors = (info["ground_truth"]["add_first"], info["ground_truth"]["add_second"])
-    ratios = [error / info["diameter"] for error in errors]
-    return [
-        *(
-            {"metric": "add_over_diameter", "value": ratio, "unit": "1", "views": views, **tags}
-            for views, ratio in enumerate(ratios, start=1)
-        ),
-        {"metric": "travel", "value": info["travel"], "unit": "m", **tags},
-    ]
-
-
-def make_table(info: dict[str, Any]) -> Table:
-    """The pose's error before and after."""
-    from rich.table import Table
-
-    truth = info["ground_truth"]
-    table = Table()
-    for title in ("pose from", "ADD(-S)", "of the diameter", "below a tenth"):
-        table.add_column(title, justify="left" if title == "pose from" else "right")
-    for name, key in (("the first view", "add_first"), ("both views", "add_second")):
-        ratio = truth[key] / info["diameter"]
-        right = "yes" if ratio < 0.1 else "no"
-        table.add_row(name, f"{1e3 * truth[key]:.1f} mm", f"{100 * ratio:.1f} %", right)
-    return table
+    records = [{"metric": "travel", "value": info["travel"], "unit": "m", **tags}]
+    for views, key in ((2, "add_second"), (1, "add_first")):
+        ratio = info["ground_truth"][key] / info["diameter"]
+        record = {"metric": "add_over_diameter", "value": ratio, "unit": "1", "views": views}
+        records.insert(0, record | tags)
+    return records
 
 
 def _print(config: DemoConfig, info: dict[str, Any], seconds: float) -> None:
+    """Prints the pose error before and after the second view."""
     from rich.console import Console
+    from rich.table import Table
 
+    truth, diameter = info["ground_truth"], info["diameter"]
+    table = Table("pose from")
+    for title in ("ADD(-S)", "of the diameter", "below a tenth"):
+        table.add_column(title, justify="right")
+    for name, key in (("the first view", "add_first"), ("both views", "add_second")):
+        ratio = truth[key] / diameter
+        success = "yes" if ratio < 0.1 else "no"
+        table.add_row(name, f"{1e3 * truth[key]:.1f} mm", f"{100 * ratio:.1f} %", success)
     console = Console(highlight=False)
-    visible = 100 * info["ground_truth"]["visibility"]
     console.print(
-        f"object       {info['object']}, {1e3 * info['diameter']:.0f} mm in diameter, "
-        f"{visible:.0f} % of it visible in the first view\n"
+        f"object       {info['object']}, {1e3 * diameter:.0f} mm in diameter, "
+        f"{100 * truth['visibility']:.0f} % of it visible in the first view\n"
         f"second view  {info['baseline_deg']:.0f} degrees from the first, chosen by "
         f"{config.policy}; it moved {info['travel']:.2f} m"
     )
-    console.print(make_table(info))
+    console.print(table)
     console.print(f"image        {config.out}   ({seconds:.1f} s in all)")

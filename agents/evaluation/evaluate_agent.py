@@ -1,4 +1,4 @@
-"""Policies side by side on the same scenes."""
+"""Evaluates policies on the same scenes."""
 
 from __future__ import annotations
 
@@ -23,24 +23,21 @@ from ..training.config import BOX_ENV, DISCRETE_ENV, REPLAY_ENV, EvaluateAgentCo
 from .outcomes import STAY, Outcome, make_records, outcome_of, print_table
 
 Scenes = Sequence[tuple[dict[str, Any], np.random.SeedSequence]]
-"""For each episode what ``reset`` is given, and the seed of what policies draw."""
+"""For each episode the arguments of ``reset``, and the seed of the policies' random choices."""
 
 EPISODES = 100
-"""Scenes that are rendered unless more are asked for."""
+"""Default number of rendered scenes."""
 
 
 def evaluate_agents(config: EvaluateAgentConfig) -> list[dict[str, Any]]:
-    """Runs every policy on the same scenes, prints a table, writes results and figures if asked.
-
-    Args:
-        config: see `EvaluateAgentConfig`.
+    """Runs policies on the same scenes, prints a table, and writes results and figures if asked.
 
     Returns:
-        The records of the results file, see `make_records`; ``stay`` is always among the policies.
+        The records of the results file, see `make_records`; always including ``stay``.
 
     Raises:
-        InputError: if an argument is wrong, there is no such device, or a file is no agent for this
-            environment.
+        InputError: if an argument is wrong, there is no such device, or a file is not an agent for
+            this environment.
     """
     check_device(config.device)
     outcomes: dict[str, list[Outcome]] = {}
@@ -50,14 +47,14 @@ def evaluate_agents(config: EvaluateAgentConfig) -> list[dict[str, Any]]:
         try:
             policies = {name: make_policy(name, env, config.device) for name in names}
             bank = None if config.bank is None else env.unwrapped.bank  # type: ignore[attr-defined]
-            found: dict[str, list[Outcome]] = {}
+            group: dict[str, list[Outcome]] = {}
             for seed in range(config.seed, config.seed + config.seeds):
                 scenes = _scenes(config, bank, seed)
                 for name, results in run_episodes(env, policies, scenes, config.progress).items():
-                    found.setdefault(name, []).extend(results)
+                    group.setdefault(name, []).extend(results)
         finally:
             env.close()
-        outcomes = found | outcomes
+        outcomes = group | outcomes
     outcomes = {name: outcomes[name] for name in dict.fromkeys((STAY, *config.policy))}
     scene = config.scene if bank is None else str(bank.header.scene)
     print_table(outcomes, _title(config, scene, bank))
@@ -73,7 +70,7 @@ def evaluate_agents(config: EvaluateAgentConfig) -> list[dict[str, Any]]:
 
 
 def seeded_scenes(episodes: int, seed: int) -> Scenes:
-    """So many scenes of an environment that draws them."""
+    """Seeds of a number of random scenes."""
     return [
         ({"seed": episode_seed(seed, i)}, np.random.SeedSequence(seed, spawn_key=(i,)))
         for i in range(episodes)
@@ -83,48 +80,46 @@ def seeded_scenes(episodes: int, seed: int) -> Scenes:
 def run_episodes(
     env: gym.Env, policies: Mapping[str, Policy], scenes: Scenes, progress: bool = False
 ) -> dict[str, list[Outcome]]:
-    """Runs every policy on the same scenes.
+    """Runs every policy on the same scenes, independently of the other policies.
 
     Args:
-        env: an environment that reports ``object``, ``diameter``, ``travel`` and, under
+        env: an environment whose info has ``object``, ``diameter``, ``travel`` and, under
             ``ground_truth``, ``add_first`` and ``add_second``.
         policies: the policies by name.
-        scenes: see `seeded_scenes`; a policy's outcomes depend neither on the other policies nor
-            on their order.
+        scenes: see `seeded_scenes`.
         progress: show a progress bar.
 
     Returns:
-        One outcome a scene for each policy, in the same order, and for ``stay``.
+        One outcome per scene for each policy, in the same order, and for ``stay``.
 
     Raises:
-        InputError: if the environment has no estimator, so that there is nothing to compare.
+        InputError: if the environment has no estimator.
     """
-    outcomes: dict[str, list[Outcome]] = {STAY: []}
     moving = {name: policy for name, policy in policies.items() if name != STAY}
-    outcomes |= {name: [] for name in moving}
+    outcomes: dict[str, list[Outcome]] = {name: [] for name in (STAY, *moving)}
     bar = tqdm(total=len(scenes) * max(1, len(moving)), unit="episode", disable=not progress)
     for arguments, sequence in scenes:
         first, info = env.reset(**arguments)
         if "add_first" not in info["ground_truth"]:
-            raise InputError("estimator must not be None: without one there is no pose to rate")
+            raise InputError("estimator must not be None to evaluate poses")
         outcomes[STAY].append(outcome_of(info, "add_first", 0))
         for i, (name, policy) in enumerate(moving.items()):
             observation = first if i == 0 else env.reset(**arguments)[0]
-            outcomes[name].append(_play(env, policy, observation, sequence))
+            outcomes[name].append(_run_episode(env, policy, observation, sequence))
             bar.update()
     bar.close()
     return outcomes
 
 
-def _play(
+def _run_episode(
     env: gym.Env, policy: Policy, observation: Any, sequence: np.random.SeedSequence
 ) -> Outcome:
-    """Plays the episode that has just begun to its end."""
+    """Runs an episode from its first observation."""
     policy.reset(np.random.default_rng(sequence))
-    ended, info = False, dict[str, Any]()
-    while not ended:
+    done, info = False, dict[str, Any]()
+    while not done:
         observation, _, terminated, truncated, info = env.step(policy.act(observation))
-        ended = terminated or truncated
+        done = terminated or truncated
     return outcome_of(info, "add_second", int(info.get("second_views", 1)))
 
 
@@ -140,35 +135,32 @@ def _scenes(config: EvaluateAgentConfig, bank: ViewBank | None, seed: int) -> Sc
 
 
 def policies_by_environment(config: EvaluateAgentConfig) -> dict[str, list[str]]:
-    """Which policies act in which environment; all see the same scenes.
+    """Groups policies by environment id; all see the same scenes.
 
-    A trained policy acts in an environment like the one it was trained in, the baselines in the
-    first of these. The file of a policy may choose between our own environments and nothing else:
-    an id that names a module would import it.
+    A trained policy acts in its training environment, the baselines in the first of these. A policy
+    file can only select our own environments, since an id with a module name would import it.
     """
-    places: dict[str, str] = {}
+    env_ids: dict[str, str] = {}
     for name in config.policy:
         path = agent_file(name)
         if path is not None:
             header, _ = read_agent(path, prefix="policy/")
             _check_objects(name, header, config)
-            places[name] = config.env or _live_environment(header)
+            env_ids[name] = config.env or _live_environment(header)
     default = DISCRETE_ENV if config.bank is not None else BOX_ENV
-    first = config.env or next(iter(places.values()), default)
+    first = config.env or next(iter(env_ids.values()), default)
     groups: dict[str, list[str]] = {}
-    for name in sorted(config.policy, key=lambda name: name in places):
-        groups.setdefault(places.get(name, first), []).append(name)
+    for name in sorted(config.policy, key=lambda name: name in env_ids):
+        groups.setdefault(env_ids.get(name, first), []).append(name)
     return groups
 
 
 def _live_environment(header: AgentHeader) -> str:
-    """The environment with rendering in which an agent acts."""
+    """The rendering environment of an agent."""
     if header.env in (REPLAY_ENV, f"two_view_pose:{REPLAY_ENV}"):
         return BOX_ENV if str(header.action_space).startswith("Box") else DISCRETE_ENV
     if header.env not in (BOX_ENV, DISCRETE_ENV):
-        raise InputError(
-            f"the policy was trained on {header.env!r}: name the environment with --env"
-        )
+        raise InputError(f"the policy was trained on {header.env!r}: pass --env")
     return header.env
 
 
@@ -177,8 +169,7 @@ def _check_objects(name: str, header: AgentHeader, config: EvaluateAgentConfig) 
     if trained != asked and config.bank is None:
         raise InputError(
             f"policy {name} was trained on {' '.join(trained) or 'all 13 objects'}, not on "
-            f"{' '.join(asked) or 'all 13'}: pass "
-            + (f"--objects {' '.join(trained)}" if trained else "no --objects")
+            f"{' '.join(asked) or 'all 13'}: pass the same --objects"
         )
 
 
@@ -197,12 +188,13 @@ def _title(config: EvaluateAgentConfig, scene: str, bank: ViewBank | None) -> st
 
 
 def _command(config: EvaluateAgentConfig) -> str:
-    parts = ["evaluate-agent", "--policy", *config.policy]
-    if config.bank is None:
-        parts += ["--scene", config.scene, "--episodes", str(config.episodes or EPISODES)]
-    else:
-        parts += ["--bank", os.fspath(config.bank)]
-        parts += ["--episodes", str(config.episodes)] if config.episodes else []
-    parts += ["--seed", str(config.seed)]
-    parts += ["--seeds", str(config.seeds)] if config.seeds > 1 else []
-    return shlex.join(parts)
+    live = config.bank is None
+    options = {
+        "--scene": config.scene if live else None,
+        "--bank": config.bank,
+        "--episodes": config.episodes or (EPISODES if live else None),
+        "--seed": config.seed,
+        "--seeds": config.seeds if config.seeds > 1 else None,
+    }
+    given = [str(part) for option in options.items() if option[1] is not None for part in option]
+    return shlex.join(["evaluate-agent", "--policy", *config.policy, *given])

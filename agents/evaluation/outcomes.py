@@ -1,8 +1,7 @@
-"""Outcomes of episodes, and the numbers that a results file says of them.
+"""Outcomes of episodes and their statistics.
 
-Policies see the same scenes, so they are compared scene by scene: an interval of a difference
-resamples scenes, both policies' outcomes together (Efron and Tibshirani, *An Introduction to the
-Bootstrap*, chapter 8).
+Policies see the same scenes, so differences are paired: their intervals resample scenes, with both
+policies' outcomes together (Efron and Tibshirani, *An Introduction to the Bootstrap*, chapter 8).
 """
 
 from __future__ import annotations
@@ -21,20 +20,21 @@ from rich.table import Table
 from scipy.stats import binomtest
 
 STAY = "stay"
-"""The row for what the first view alone gives."""
+"""Name of the estimate from the first view alone."""
 
 ORACLE, REFERENCE_POLICY = "oracle", "max-baseline"
-"""The best that any policy could do, and the rule that a trained one has to beat."""
+"""The upper bound, and the rule that trained policies are compared with."""
 
 SUCCESS = 0.1
-"""An estimate is right if ADD(-S) is below this fraction of the object's diameter."""
+"""An estimate is correct if ADD(-S) is below this fraction of the object's diameter."""
 
 VISIBILITY_BINS = ((0.0, 0.4), (0.4, 0.7), (0.7, 0.9), (0.9, 1.01))
-"""Visible fractions of the target in the reference view, each up to but not including the next."""
+"""Half-open intervals of the target's visible fraction in the reference view."""
 
 RESAMPLES = 2000
 
-Estimate = tuple[float, float, float]
+Interval = tuple[float, float, float]
+"""A value with the low and high end of its 95 percent interval."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class Outcome:
         object_name: the target.
         add_over_diameter: ADD(-S) of the final estimate over the object's diameter.
         travel: camera travel, meters.
-        visibility: visible fraction of the target in the reference view; NaN where it is not known.
+        visibility: visible fraction of the target in the reference view; NaN if unknown.
         baseline_deg: angle between the reference view and the newest.
-        views: second views that were taken.
+        views: number of second views.
         scene: identifies the scene among those of one object; None: each outcome has its own.
     """
 
@@ -61,17 +61,17 @@ class Outcome:
 
     @property
     def capped(self) -> float:
-        """ADD(-S) over the diameter, 1 where it is more: what the reward counts."""
+        """min(ADD(-S) / diameter, 1), as in the reward."""
         return min(self.add_over_diameter, 1.0)
 
     @property
-    def right(self) -> bool:
+    def success(self) -> bool:
         """Whether ADD(-S) is below a tenth of the diameter."""
         return self.add_over_diameter < SUCCESS
 
 
 def outcome_of(info: Mapping[str, Any], key: str, views: int) -> Outcome:
-    """Reads the info of an environment; ``key`` is ``add_first`` or ``add_second``."""
+    """Reads an environment's info; ``key`` is ``add_first`` or ``add_second``."""
     truth = info["ground_truth"]
     return Outcome(
         object_name=str(info["object"]),
@@ -85,55 +85,47 @@ def outcome_of(info: Mapping[str, Any], key: str, views: int) -> Outcome:
 
 
 def per_scene(results: Sequence[Outcome], value: Callable[[Outcome], float]) -> np.ndarray:
-    """The mean of a value in each scene, in the order of the scenes.
-
-    Over a bank several seeds play the same scenes; these are not more scenes.
-    """
-    found: dict[Any, list[float]] = {}
+    """Averages a value over repetitions of each scene, in the order of the scenes."""
+    groups: dict[Any, list[float]] = {}
     for number, result in enumerate(results):
         scene = number if result.scene is None else (result.object_name, result.scene)
-        found.setdefault(scene, []).append(value(result))
-    return np.array([np.mean(values) for values in found.values()])
+        groups.setdefault(scene, []).append(value(result))
+    return np.array([np.mean(values) for values in groups.values()])
 
 
 def make_records(outcomes: Mapping[str, Sequence[Outcome]], scene: str) -> list[dict[str, Any]]:
-    """The numbers of a results file, with 95 percent intervals over scenes.
+    """Makes the records of a results file, with 95 percent intervals over scenes.
 
-    Over all objects (``object`` is ``mean``), for each object, and for each bin of visibility
-    (``visibility`` is its lower end); then every policy against ``max-baseline``, scene by scene.
+    For all objects (``object`` is ``mean``), each object, and each visibility bin (``visibility``
+    is its lower end); then paired comparisons with ``max-baseline``.
     """
     records = []
     for policy, results in outcomes.items():
         names = sorted({result.object_name for result in results})
         for name in ["mean", *names]:
-            chosen = [result for result in results if name in ("mean", result.object_name)]
-            records += _records(chosen, {"policy": policy, "scene": scene, "object": name})
+            rows = [result for result in results if name in ("mean", result.object_name)]
+            records += _records(rows, {"policy": policy, "scene": scene, "object": name})
         for low, high in VISIBILITY_BINS:
-            chosen = [result for result in results if low <= result.visibility < high]
+            rows = [result for result in results if low <= result.visibility < high]
             tags = {"policy": policy, "scene": scene, "object": "mean", "visibility": low}
-            records += _records(chosen, tags) if chosen else []
+            records += _records(rows, tags) if rows else []
     return records + _comparisons(outcomes, scene)
 
 
 def _records(results: Sequence[Outcome], tags: Mapping[str, Any]) -> list[dict[str, Any]]:
-    return [
-        {
-            "metric": metric,
-            "value": value,
-            "unit": unit,
-            **tags,
-            "n": len(per_scene(results, lambda r: r.views)),
-            "low": low,
-            "high": high,
-        }
-        for metric, unit, (value, low, high) in statistics(results)
-    ]
+    tags = {**tags, "n": len(per_scene(results, lambda r: r.views))}
+    return [_record(metric, unit, interval, tags) for metric, unit, interval in statistics(results)]
 
 
-def statistics(results: Sequence[Outcome]) -> list[tuple[str, str, Estimate]]:
-    """Metric, unit and (value, low, high) of each."""
-    right = per_scene(results, lambda r: r.right)
-    once = len(right) == len(results)
+def _record(metric: str, unit: str, interval: Interval, tags: Mapping[str, Any]) -> dict[str, Any]:
+    value, low, high = interval
+    return {"metric": metric, "value": value, "unit": unit, **tags, "low": low, "high": high}
+
+
+def statistics(results: Sequence[Outcome]) -> list[tuple[str, str, Interval]]:
+    """Metrics with unit and interval."""
+    success = per_scene(results, lambda r: r.success)
+    binary = len(success) == len(results)  # else averaged over repetitions
     means: list[tuple[str, str, Callable[[Outcome], float]]] = [
         ("add_over_diameter", "1", lambda r: r.add_over_diameter),
         ("capped_add_over_diameter", "1", lambda r: r.capped),
@@ -141,45 +133,38 @@ def statistics(results: Sequence[Outcome]) -> list[tuple[str, str, Estimate]]:
         ("second_views", "1", lambda r: r.views),
     ]
     return [
-        ("add_s_recall", "1", _recall(right) if once else mean_interval(right)),
+        ("add_s_recall", "1", _recall(success) if binary else mean_interval(success)),
         *((metric, unit, mean_interval(per_scene(results, f))) for metric, unit, f in means),
     ]
 
 
 def _comparisons(outcomes: Mapping[str, Sequence[Outcome]], scene: str) -> list[dict[str, Any]]:
-    """Every policy against ``max-baseline``, and how much of its way to the oracle it has gone."""
+    """Paired differences of every policy from ``max-baseline`` and the oracle."""
     if REFERENCE_POLICY not in outcomes:
         return []
     capped = {name: per_scene(rows, lambda r: r.capped) for name, rows in outcomes.items()}
-    right = {name: per_scene(rows, lambda r: r.right) for name, rows in outcomes.items()}
+    success = {name: per_scene(rows, lambda r: r.success) for name, rows in outcomes.items()}
     reference, oracle = capped[REFERENCE_POLICY], capped.get(ORACLE)
     tags = {"scene": scene, "object": "mean", "against": REFERENCE_POLICY, "n": len(reference)}
     records = []
     for policy in outcomes:
         found = {
-            "add_s_recall_difference": _paired(right[policy] - right[REFERENCE_POLICY]),
+            "add_s_recall_difference": _paired(success[policy] - success[REFERENCE_POLICY]),
             "capped_difference": _paired(capped[policy] - reference),
         }
         if oracle is not None:
             closed = gap_closed(capped[policy], reference, oracle)
             found |= {"gap_closed": closed} if closed is not None else {}
             found["regret"] = _paired(capped[policy] - oracle)
-        records += [
-            {"metric": metric, "value": value, "unit": "1", "policy": policy, **tags,
-             "low": low, "high": high}
-            for metric, (value, low, high) in found.items()
-        ]  # fmt: skip
+        own = {"policy": policy, **tags}
+        records += [_record(metric, "1", interval, own) for metric, interval in found.items()]
     return records
 
 
-def gap_closed(policy: np.ndarray, reference: np.ndarray, oracle: np.ndarray) -> Estimate | None:
-    """Share of the gap in mean error from a reference policy to the oracle that a policy closes.
+def gap_closed(policy: np.ndarray, reference: np.ndarray, oracle: np.ndarray) -> Interval | None:
+    """Fraction of the gap in mean error between a reference policy and the oracle that is closed.
 
-    Args:
-        policy, reference, oracle: capped errors on the same scenes, (M,).
-
-    Returns:
-        Value and 95 percent interval; None where reference and oracle are the same.
+    Takes capped errors on the same scenes, (M,) each. None if reference and oracle are equal.
     """
     gap = reference.mean() - oracle.mean()
     if gap < 1e-9:
@@ -189,8 +174,8 @@ def gap_closed(policy: np.ndarray, reference: np.ndarray, oracle: np.ndarray) ->
     return float((reference.mean() - policy.mean()) / gap), float(low), float(high)
 
 
-def _paired(differences: np.ndarray) -> Estimate:
-    """A mean difference over scenes and its 95 percent interval."""
+def _paired(differences: np.ndarray) -> Interval:
+    """Mean difference over scenes, with its bootstrap interval."""
     means = _resamples(len(differences)) @ differences / len(differences)
     low, high = np.quantile(means, (0.025, 0.975))
     return float(differences.mean()), float(low), float(high)
@@ -198,27 +183,27 @@ def _paired(differences: np.ndarray) -> Estimate:
 
 @lru_cache(maxsize=1)
 def _resamples(count: int) -> np.ndarray:
-    """How often each resample draws each scene, (R, count)."""
+    """Number of times that each resample draws each scene, (R, count)."""
     return np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), RESAMPLES)
 
 
-def _recall(right: np.ndarray) -> Estimate:
-    """A fraction and its 95 percent interval (Wilson, 1927), which stays within 0 and 1."""
-    result = binomtest(int(right.sum()), len(right))
+def _recall(success: np.ndarray) -> Interval:
+    """Fraction of successes with its Wilson (1927) interval, which stays within 0 and 1."""
+    result = binomtest(int(success.sum()), len(success))
     low, high = result.proportion_ci(method="wilson")
     return float(result.statistic), float(low), float(high)
 
 
-def mean_interval(values: np.ndarray) -> Estimate:
-    """A mean and its 95 percent interval by the normal approximation."""
+def mean_interval(values: np.ndarray) -> Interval:
+    """Mean with its interval by the normal approximation."""
     mean = float(values.mean())
     half = 1.959964 * float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else 0.0
     return mean, mean - half, mean + half
 
 
 def print_table(outcomes: Mapping[str, Sequence[Outcome]], title: str) -> None:
-    """Prints one row a policy; ``closed`` is the share of the gap from the rule to the oracle."""
-    table = Table(title=title, box=box.SIMPLE_HEAD, pad_edge=False)  # it fits 80 columns
+    """Prints one row per policy; ``closed`` is :func:`gap_closed`."""
+    table = Table(title=title, box=box.SIMPLE_HEAD, pad_edge=False)  # fits 80 columns
     several = any(result.views > 1 for results in outcomes.values() for result in results)
     closed = REFERENCE_POLICY in outcomes and ORACLE in outcomes
     columns = ["policy", "ADD(-S)<0.1d", "min(ADD(-S)/d,1)", *(["closed"] if closed else [])]
@@ -228,7 +213,7 @@ def print_table(outcomes: Mapping[str, Sequence[Outcome]], title: str) -> None:
     for policy, results in outcomes.items():
         (_, _, recall), _, (_, _, error), (_, _, travel), (_, _, views) = statistics(results)
         cells = [
-            short(policy),
+            display_name(policy),
             f"{100 * recall[0]:.1f} ({100 * recall[1]:.0f}-{100 * recall[2]:.0f}) %",
             f"{error[0]:.3f} ({error[1]:.3f}-{error[2]:.3f})",
         ]
@@ -240,7 +225,7 @@ def print_table(outcomes: Mapping[str, Sequence[Outcome]], title: str) -> None:
     Console().print(table)
 
 
-def short(name: str) -> str:
-    """What tables and figures call a policy: of a file the folder that it is in."""
+def display_name(name: str) -> str:
+    """Name of a policy in tables and figures; of a file the name of its folder."""
     path = Path(name)
     return path.parent.name if path.suffix == ".safetensors" and path.parent.name else name

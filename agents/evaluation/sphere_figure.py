@@ -1,4 +1,4 @@
-"""View spheres seen from above: the true error of every candidate, and what policies chose."""
+"""View spheres from above: the true error of every candidate, and the policies' choices."""
 
 from __future__ import annotations
 
@@ -11,33 +11,29 @@ from ...core.plotting import INK, new_figure
 from ...envs.observation import SpherePosition
 from ...envs.view_banks.bank import ViewBank
 from ..policies.registry import BASELINES
-from .outcomes import ORACLE, REFERENCE_POLICY, Outcome, short
+from .outcomes import ORACLE, REFERENCE_POLICY, Outcome, display_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCENES = 6
-_MARKS = ("o", "s", "D", "h")
+_MARKERS = ("o", "s", "D", "h")
 
 
 def view_spheres(
     bank: ViewBank, outcomes: Mapping[str, Sequence[Outcome]], count: int = SCENES
 ) -> Figure:
-    """Scenes in which the choice mattered, spread over the visibilities.
+    """Plots ``count`` scenes in which the choice matters, spread over the visibilities.
 
-    The reference camera (blue) is at the bottom; the middle of the half circle is straight above
-    the object, the rim the table's plane. A dot is a candidate view, red where it fails.
-
-    Args:
-        bank: the recorded views.
-        outcomes: of policies on its scenes, in order; their choices are found by the error.
-        count: how many scenes.
+    The reference camera (blue) is at the bottom; the center of the half circle is straight above
+    the object, the rim is the table's plane. A dot is a candidate view, red where it fails. The
+    policies' choices are found from the errors of their ``outcomes``.
     """
     scenes = most_informative_scenes(bank, count)
     figure = new_figure(2.7 * len(scenes), 4.9)
     rows = figure.add_gridspec(2, len(scenes), height_ratios=(1.0, 0.62))
-    marked = [REFERENCE_POLICY, *(name for name in outcomes if name not in BASELINES), ORACLE]
-    names = [name for name in marked if name in outcomes][: len(_MARKS)]
+    policies = [REFERENCE_POLICY, *(name for name in outcomes if name not in BASELINES), ORACLE]
+    names = [name for name in policies if name in outcomes][: len(_MARKERS)]
     for column, scene in enumerate(scenes):
         image = figure.add_subplot(rows[0, column])
         image.imshow(bank.first["image"][scene], interpolation="nearest")
@@ -47,21 +43,20 @@ def view_spheres(
             f"{name}, {100 * bank.visibility[scene]:.0f} % visible", fontsize=10, color=INK
         )
         axis: Any = figure.add_subplot(rows[1, column], projection="polar")
-        azimuth, elevation, reference = _places(bank, scene)
+        azimuth, elevation, reference = _candidate_angles(bank, scene)
         dots = _draw_sphere(axis, azimuth, elevation, bank.second_error[scene])
         axis.plot(0, 90 - np.degrees(reference), "o", color="#0969da", markersize=6, zorder=4)
-        for mark, policy in zip(_MARKS, names, strict=False):
-            slot = _slot_of(bank, scene, outcomes[policy][scene])
+        for marker, policy in zip(_MARKERS, names, strict=False):
+            slot = slot_of_outcome(bank, scene, outcomes[policy][scene])
             if slot is not None:
                 axis.plot(
-                    azimuth[slot], 90 - np.degrees(elevation[slot]), mark, fillstyle="none",
-                    color=INK, markersize=9 + 3 * _MARKS.index(mark), markeredgewidth=1.2,
-                    label=short(policy),
+                    azimuth[slot], 90 - np.degrees(elevation[slot]), marker, fillstyle="none",
+                    color=INK, markersize=9 + 3 * _MARKERS.index(marker), markeredgewidth=1.2,
+                    label=display_name(policy),
                 )  # fmt: skip
-    handles, labels = axis.get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, fontsize=9
-    )
+    legend = axis.get_legend_handles_labels()
+    columns = len(legend[1])
+    figure.legend(*legend, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
     bar = figure.colorbar(dots, ax=figure.axes[1::2], shrink=0.8)
     bar.set_label("ADD(-S) / diameter", fontsize=9)
     return figure
@@ -82,28 +77,24 @@ def _draw_sphere(axis: Any, azimuth: np.ndarray, elevation: np.ndarray, error: n
     )  # fmt: skip
 
 
-def _places(bank: ViewBank, scene: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Azimuth from the reference camera's and elevation of every candidate, radians.
-
-    Returns:
-        Both (N,), and the elevation of the reference camera.
-    """
+def _candidate_angles(bank: ViewBank, scene: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Azimuth offsets (N,), elevations (N,), and the reference camera's elevation, radians."""
     center = bank.center[scene]
     first = SpherePosition.of(bank.T_cam_world[scene], center)
-    places = [SpherePosition.of(T, center) for T in bank.second_T_cam_world[scene]]
-    azimuth = np.array([place.azimuth for place in places]) - first.azimuth
-    return azimuth, np.array([place.elevation for place in places]), first.elevation
+    views = [SpherePosition.of(T, center) for T in bank.second_T_cam_world[scene]]
+    azimuth = np.array([view.azimuth for view in views]) - first.azimuth
+    return azimuth, np.array([view.elevation for view in views]), first.elevation
 
 
-def _slot_of(bank: ViewBank, scene: int, outcome: Outcome) -> int | None:
-    """The candidate that led to an outcome."""
+def slot_of_outcome(bank: ViewBank, scene: int, outcome: Outcome) -> int | None:
+    """Finds the candidate of an outcome by its error."""
     differences = np.abs(bank.second_error[scene] - outcome.add_over_diameter)
     slot = int(differences.argmin())
     return slot if differences[slot] < 1e-5 else None
 
 
 def most_informative_scenes(bank: ViewBank, count: int) -> list[int]:
-    """Scenes whose candidates differ most, one of each stretch of visibilities."""
+    """The scenes with the largest spread of errors, one per quantile bin of visibility."""
     order = np.argsort(bank.visibility, kind="stable")
     spread = np.minimum(bank.second_error, 0.3).std(axis=1)
     parts = np.array_split(order, min(count, len(order)))

@@ -1,9 +1,9 @@
-"""The algorithms that train agents, and which of their arguments plain data can express."""
+"""Training algorithms, and checks of their hyper-parameters given as plain data."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,19 +17,19 @@ from .candidates import CandidateExtractor
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC, "dqn": sb3.DQN}
 
 POLICY_CLASS = "MultiInputPolicy"
-"""SB3's name for policies of Dict observations."""
+"""SB3's policy class for Dict observations."""
 
 GREEDY = "greedy"
-"""The algorithm that is no reinforcement learning: a network predicts every candidate's error."""
+"""Supervised error regression instead of reinforcement learning."""
 
 NAMED_CLASSES: dict[str, dict[str, type[nn.Module]]] = {
     "activation_fn": {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": nn.ELU, "silu": nn.SiLU},
     "features_extractor_class": {"CandidateExtractor": CandidateExtractor},
 }
-"""Policy arguments that are classes, with the names by which plain data may choose them."""
+"""Policy arguments that are classes, and the names that select them in plain data."""
 
 RESERVED_KEYS = frozenset({"n_timesteps", "n_envs", "policy", "policy_kwargs"})
-"""Hyper-parameters that are not handed to the algorithm as they are."""
+"""Hyper-parameters that are not passed to the algorithm unchanged."""
 
 NON_SERIALIZABLE = frozenset(
     {
@@ -37,22 +37,22 @@ NON_SERIALIZABLE = frozenset(
         *("observation_space", "action_space", "lr_schedule", "optimizer_class"),
     }
 )
-"""SB3's arguments that are set by the training itself, or that plain data cannot express."""
+"""Arguments of SB3 that the training sets itself, or that plain data cannot express."""
 
 
 @dataclass(frozen=True)
 class GreedyHyperparameters:
-    """How the networks of ``greedy`` are trained.
+    """Hyper-parameters of ``greedy``.
 
     Attributes:
-        epochs: times that every scene is seen.
+        epochs: passes over all scenes.
         batch_size: scenes in a batch.
-        learning_rate: falls to 0 along half a cosine.
+        learning_rate: initial value, annealed to 0 by a cosine schedule.
         weight_decay: of AdamW.
         features_dim, width, dropout: of each network, see :class:`~.predictor.ErrorPredictor`.
-        networks: how many networks answer together.
-        sure: stop threshold, the probability of a right pose from which on the agent stops where
-            it may. The agents that ship name it so.
+        networks: number of networks in the ensemble.
+        sure: stop threshold: the agent stops at this probability of a correct pose. Files of agents
+            use this name.
     """
 
     epochs: int = 60
@@ -67,41 +67,30 @@ class GreedyHyperparameters:
 
 
 def check_hyperparameters(algo: str, entry: Mapping[str, Any]) -> None:
-    """Checks the names of an algorithm's hyper-parameters.
-
-    Raises:
-        InputError: if there is no such algorithm, or a name is no argument of it or of its policy.
-    """
+    """Raises InputError if the algorithm, or an argument of it or of its policy, is unknown."""
     if algo == GREEDY:
         _check_names("hyper-parameters of greedy", entry, GreedyHyperparameters)
         return
     if algo not in ALGORITHMS:
         raise InputError(f"algo must be one of {', '.join([*ALGORITHMS, GREEDY])}, got {algo!r}")
-    own = {key: value for key, value in entry.items() if key not in RESERVED_KEYS}
-    _check_names(f"hyper-parameters of {algo}", own, ALGORITHMS[algo])
+    _check_names(f"hyper-parameters of {algo}", entry.keys() - RESERVED_KEYS, ALGORITHMS[algo])
     if entry.get("policy", POLICY_CLASS) != POLICY_CLASS:
         raise InputError(f"policy must be {POLICY_CLASS}, got {entry['policy']!r}")
-    given = entry.get("policy_kwargs", {})
-    if not isinstance(given, Mapping):
-        raise InputError(f"policy_kwargs must be a mapping, got {given!r}")
-    _check_names("policy_kwargs", given, ALGORITHMS[algo].policy_aliases[POLICY_CLASS])
+    kwargs = entry.get("policy_kwargs", {})
+    if not isinstance(kwargs, Mapping):
+        raise InputError(f"policy_kwargs must be a mapping, got {kwargs!r}")
+    _check_names("policy_kwargs", kwargs, ALGORITHMS[algo].policy_aliases[POLICY_CLASS])
 
 
-def _check_names(what: str, given: Mapping[str, Any], function: Any) -> None:
+def _check_names(what: str, names: Iterable[str], function: Any) -> None:
     allowed = inspect.signature(function).parameters.keys() - NON_SERIALIZABLE
-    unknown = sorted(map(str, given.keys() - allowed))
+    unknown = ", ".join(sorted(str(name) for name in names if name not in allowed))
     if unknown:
-        raise InputError(
-            f"unknown {what}: {', '.join(unknown)} (allowed: {', '.join(sorted(allowed))})"
-        )
+        raise InputError(f"unknown {what}: {unknown} (allowed: {', '.join(sorted(allowed))})")
 
 
 def policy_kwargs(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """The arguments of the SB3 policy that checked hyper-parameters describe.
-
-    Raises:
-        InputError: if a class is named that plain data cannot choose.
-    """
+    """Converts ``policy_kwargs`` to SB3's; raises InputError if a class is not a named one."""
     kwargs = dict(entry.get("policy_kwargs", {}))
     for key, classes in NAMED_CLASSES.items():
         if key in kwargs:

@@ -1,8 +1,8 @@
-"""For reinforcement learners: a feature extractor that has learned to see occluders.
+"""A feature extractor for SB3 that is pretrained to predict occlusion.
 
-It holds one of the networks that ``--algo greedy`` trains and gives a learner what this predicts
-for each of the 24 candidate views: error and visibility. Where these views are is worked out from
-the observation alone, so that a trained policy needs nothing else.
+It holds one of the networks of ``--algo greedy``, and its features are the error and visibility
+predicted for each of the 24 candidate views. The candidates' directions are computed from the
+observation alone, so a trained policy needs no other input.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class CandidateExtractor(BaseFeaturesExtractor):
         observation_space: a Dict with an ``image`` of channels first.
         features_dim: width of the predictor, see :class:`ErrorPredictor`.
         width, dropout: of the predictor.
-        frozen: leave the predictor as it was before; only the learner's own layers learn.
+        frozen: do not train the predictor.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class CandidateExtractor(BaseFeaturesExtractor):
             self.predictor.requires_grad_(False)
 
     def train(self, mode: bool = True) -> CandidateExtractor:
-        """A frozen predictor stays as it is: no dropout."""
+        """Keeps a frozen predictor in evaluation mode."""
         super().train(mode)
         if self._frozen:
             self.predictor.eval()
@@ -65,10 +65,9 @@ class CandidateExtractor(BaseFeaturesExtractor):
 
 
 def load_pretrained_extractor(policy: nn.Module, path: Path) -> None:
-    """Loads the first network of a greedy agent into all extractors of an untrained policy.
+    """Loads the first network of a greedy agent into all extractors of a policy.
 
-    Raises:
-        InputError: if the policy has no such extractor, or the file is no such agent.
+    Raises InputError if the policy has no such extractor, or the file is not a greedy agent.
     """
     _, tensors = read_agent(path, prefix="policy/networks.0.")
     weights = subset(tensors, "policy/networks.0.")
@@ -84,14 +83,11 @@ def load_pretrained_extractor(policy: nn.Module, path: Path) -> None:
 
 
 def candidate_features(camera: Tensor, translation: Tensor) -> Tensor:
-    """``view_features`` of the 24 candidates, from an observation of the reference view.
+    """Computes ``view_features`` of the 24 candidates (B, 24, 11) from the first observation.
 
     Args:
-        camera: (B, 7) the observation's.
-        translation: (B, 3) the object in the reference camera, meters.
-
-    Returns:
-        (B, 24, 11).
+        camera: the observation's, (B, 7).
+        translation: of the object in the reference camera, (B, 3) meters.
     """
     sin_e, roll = camera[:, 1], torch.atan2(camera[:, 5], camera[:, 6])
     elevation = torch.atan2(camera[:, 1], camera[:, 2])
@@ -101,8 +97,8 @@ def candidate_features(camera: Tensor, translation: Tensor) -> Tensor:
     g = back[:, 2]
     phase = torch.atan2(g, p)
     apart = torch.arccos((sin_e / torch.hypot(p, g).clamp(min=1e-6)).clamp(-1, 1))
-    one, other = phase + apart, phase - apart
-    tilt = torch.where(_gap(one, -elevation) < _gap(other, -elevation), one, other)
+    a, b = phase + apart, phase - apart
+    tilt = torch.where(_angle_diff(a, -elevation) < _angle_diff(b, -elevation), a, b)
     s, c = torch.cos(tilt), torch.sin(tilt)
     up = torch.stack([-s * torch.sin(roll), -s * torch.cos(roll), c], dim=1)
     ahead = nn.functional.normalize(back - (back * up).sum(1, keepdim=True) * up, dim=1)
@@ -110,21 +106,19 @@ def candidate_features(camera: Tensor, translation: Tensor) -> Tensor:
     azimuths, elevations = torch.tensor(
         np.deg2rad(CANDIDATE_VIEWS), dtype=camera.dtype, device=camera.device
     ).unbind(1)
-    x = torch.cos(elevations) * torch.cos(azimuths)
-    y = torch.cos(elevations) * torch.sin(azimuths)
-    z = torch.sin(elevations)
-    seen = x[:, None] * ahead[:, None] + y[:, None] * side[:, None] + z[:, None] * up[:, None]
+    level, z = torch.cos(elevations), torch.sin(elevations)
+    x, y = level * torch.cos(azimuths), level * torch.sin(azimuths)
+    in_camera = x[:, None] * ahead[:, None] + y[:, None] * side[:, None] + z[:, None] * up[:, None]
     cosine = torch.cos(elevation)[:, None] * x + torch.sin(elevation)[:, None] * z
     angle = torch.arccos(cosine.clamp(-1, 1))
-
     parts = [
         *(x, y, z, angle, torch.sin(angle), torch.sin(2 * azimuths), torch.cos(2 * azimuths)),
         elevations - elevation[:, None],
-        *seen.unbind(-1),
+        *in_camera.unbind(-1),
     ]
     return torch.stack([part.expand_as(angle) for part in parts], dim=-1)
 
 
-def _gap(a: Tensor, b: Tensor) -> Tensor:
-    """How far apart two angles are, radians."""
+def _angle_diff(a: Tensor, b: Tensor) -> Tensor:
+    """Absolute difference of two angles, radians."""
     return torch.abs(torch.remainder(a - b + torch.pi, 2 * torch.pi) - torch.pi)

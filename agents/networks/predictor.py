@@ -1,7 +1,7 @@
-"""The network that predicts what a second view will be worth, from the first one.
+"""The network that predicts the pose error after a second view, from the first one.
 
-What would hide the object from a view stands on the line from the object to that camera, and that
-line is seen in the reference image: the network looks along it.
+An occluder of a view stands on the line of sight from the object to that camera, and that line is
+visible in the reference image: the network samples its features along it.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from ...pose_estimator.networks.features import FeatureConfig
 VIEW_FEATURES = 8
 
 ROI_SCALE = FeatureConfig().roi_scale
-"""Side of a region of interest in object diameters."""
+"""Side of a ROI in object diameters."""
 
 LINE_POINTS = (0.0, 0.03, 0.06, 0.09, 0.12, 0.16, 0.2, 0.25, 0.3)
-"""Distances from the object in meters at which the line of sight is looked up in the crop."""
+"""Distances from the object in meters at which the line of sight is sampled in the crop."""
 
 
 class ErrorPredictor(nn.Module):
     """Predicts min(ADD(-S) / diameter, 1) after a second view from each of N directions.
 
-    Besides the whole crop, the network looks at the crop's features along the projected line of
-    sight of every candidate: what it learns of a box to the left serves for one to the right. It
-    also predicts how much of the object a view would show, which teaches it to see occluders.
+    In addition to the whole crop, the network samples the crop's features along the projected line
+    of sight of every candidate, so occluders on all sides share weights. Predicting the visibility
+    from a view is an auxiliary task.
 
     Args:
         observation_space: of the environment, its image with channels first.
         crop_width_m: for each object the width of the crop at the object in meters, (n,).
-        features_dim: width of the layers that join what is known of a scene and of a view.
+        features_dim: width of the layers that join the features of scene and view.
         width: channels of the first convolution.
-        dropout: share of features that are left out in training.
+        dropout: dropout probability.
     """
 
     spans: Tensor
-    """``crop_width_m``, under the name that it has in agents' files."""
+    """``crop_width_m``, under its name in agent files."""
 
     def __init__(
         self,
@@ -106,51 +106,51 @@ class ErrorPredictor(nn.Module):
         maps = self.lines(observations["image"] - 0.5)
         state = self.state(torch.cat([observations[key] for key in self._vectors], dim=1))
         scene = self.scene(torch.cat([self.whole(maps), state], dim=1))
-        seen = F.grid_sample(maps, self.line_of_sight(observations, views), align_corners=False)
-        line = F.relu(self.line(seen.permute(0, 2, 3, 1).flatten(2)))
-        known = torch.cat([views[..., :VIEW_FEATURES], line], dim=-1)
-        mixed = self.mix(scene[:, None] + self.view(known))
+        samples = F.grid_sample(maps, self.line_of_sight(observations, views), align_corners=False)
+        line = F.relu(self.line(samples.permute(0, 2, 3, 1).flatten(2)))
+        view = self.view(torch.cat([views[..., :VIEW_FEATURES], line], dim=-1))
+        mixed = self.mix(scene[:, None] + view)
         visible = self.visibility(mixed)
         error = self.error(torch.cat([mixed, torch.sigmoid(visible)], dim=-1))
         return error[..., 0], visible[..., 0]
 
     def line_of_sight(self, observations: dict[str, Tensor], views: Tensor) -> Tensor:
-        """Where the lines from the object to the candidates are in the crop.
+        """Projects P points of the lines from the object to the candidates into the crop.
 
         Returns:
-            (B, N, P, 2) places of P points, -1 to 1 within the crop.
+            (B, N, P, 2) grid coordinates, -1 to 1 within the crop.
         """
         right, down, forward = views[..., VIEW_FEATURES:].unbind(-1)
         along = torch.tensor(LINE_POINTS, device=views.device)
         half = (observations["object"] @ self.spans).clamp(min=1e-3)[:, None, None] / 2
         distance = observations["camera"][:, 0].clamp(min=0.2)[:, None, None]
-        nearer = distance / (distance + forward[..., None] * along).clamp(min=0.1)
-        places = torch.stack([right[..., None] * along, down[..., None] * along], dim=-1)
-        return places * (nearer / half)[..., None]
+        scale = distance / (distance + forward[..., None] * along).clamp(min=0.1)
+        offsets = torch.stack([right[..., None] * along, down[..., None] * along], dim=-1)
+        return offsets * (scale / half)[..., None]
 
 
 def vector_fields(observation_space: spaces.Dict) -> tuple[tuple[str, ...], int]:
-    """The fields of an observation but for the image, and how many numbers they are."""
+    """Names of an observation's fields other than the image, and their total size."""
     boxes = {key: cast(spaces.Box, part) for key, part in observation_space.spaces.items()}
     vectors = tuple(key for key in boxes if key != "image")
     return vectors, sum(int(boxes[key].shape[0]) for key in vectors)
 
 
 def crop_widths(diameters: Sequence[float]) -> list[float]:
-    """Widths in meters, at the object, of crops around regions of interest that fit."""
+    """Widths in meters, at the object, of the crops of objects of these diameters."""
     return [CROP_SCALE * ROI_SCALE * diameter for diameter in diameters]
 
 
 def view_features(
     T_cam_world: np.ndarray, center: np.ndarray, T_second_world: np.ndarray, mirrored: bool = False
 ) -> np.ndarray:
-    """The network's inputs for candidate views.
+    """Computes the network's inputs for candidate views.
 
     Args:
         T_cam_world: reference camera, (..., 4, 4).
         center: the object, (..., 3), world.
         T_second_world: cameras of the candidates, (..., N, 4, 4).
-        mirrored: of the same scene in a mirror.
+        mirrored: mirror the scene left to right.
 
     Returns:
         (..., N, 11) float32: direction from the object with the reference camera at azimuth 0,
@@ -159,7 +159,7 @@ def view_features(
     """
     first = directions_from(center, T_cam_world)[..., None, :]
     second = directions_from(center[..., None, :], T_second_world)
-    seen = np.einsum("...ij,...nj->...ni", T_cam_world[..., :3, :3], second)
+    in_camera = np.einsum("...ij,...nj->...ni", T_cam_world[..., :3, :3], second)
     azimuth = np.arctan2(second[..., 1], second[..., 0]) - np.arctan2(first[..., 1], first[..., 0])
     azimuth = -azimuth if mirrored else azimuth
     elevation, reference = np.arcsin(second[..., 2]), np.arcsin(first[..., 2])
@@ -173,8 +173,8 @@ def view_features(
         np.sin(2 * azimuth),
         np.cos(2 * azimuth),
         elevation - reference,
-        -seen[..., 0] if mirrored else seen[..., 0],
-        seen[..., 1],
-        seen[..., 2],
+        -in_camera[..., 0] if mirrored else in_camera[..., 0],
+        in_camera[..., 1],
+        in_camera[..., 2],
     )
     return np.stack(parts, axis=-1).astype(np.float32)

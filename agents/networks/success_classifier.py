@@ -1,8 +1,7 @@
-"""Whether a pose is right, classified from what the robot knows: when to stop looking.
+"""A classifier of correct poses: when an agent of ``TwoViewPoseSequential-v0`` stops.
 
-A small network predicts it from the keypoints' uncertainty, the detector's score, the object, the
-cameras and how far the estimate moved since the first view. In ``TwoViewPoseSequential-v0`` an
-agent stops once the probability reaches its stop threshold.
+Its inputs are the keypoints' uncertainty, the detection confidence, the object, the cameras and the
+change of the estimate since the first view.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ class SuccessClassifier(nn.Module):
     """Logit of the probability that ADD(-S) is below a tenth of the diameter.
 
     Args:
-        inputs: length of :func:`success_features`.
-        dropout: share of the hidden units that are left out in training.
+        inputs: number of :func:`success_features`.
+        dropout: dropout probability of the hidden units.
     """
 
     def __init__(self, inputs: int, dropout: float = 0.2) -> None:
@@ -40,36 +39,36 @@ class SuccessClassifier(nn.Module):
         return self.layers(features)[..., 0]
 
 
-def success_features(first: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray]) -> np.ndarray:
+def success_features(first: Mapping[str, np.ndarray], last: Mapping[str, np.ndarray]) -> np.ndarray:
     """Inputs of the classifier, (..., F) float32.
 
     Args:
         first: observation after the reference view, or a batch of them.
-        now: the newest observation of the same episodes.
+        last: the last observation of the same episodes.
     """
-    moved = 10.0 * (now["translation"] - first["translation"])
-    a, b = first["rotation"], now["rotation"]
-    turned = np.stack(
+    shift = 10.0 * (last["translation"] - first["translation"])
+    a, b = first["rotation"], last["rotation"]
+    alignment = np.stack(
         [(a[..., :3] * b[..., :3]).sum(-1), (a[..., 3:] * b[..., 3:]).sum(-1)], axis=-1
     )
-    distance = np.linalg.norm(moved, axis=-1, keepdims=True)
+    distance = np.linalg.norm(shift, axis=-1, keepdims=True)
     parts = (
-        now["uncertainty"],
+        last["uncertainty"],
         first["uncertainty"],
-        now["score"],
+        last["score"],
         first["score"],
-        now["rotation"],
-        now["translation"],
-        now["camera"],
+        last["rotation"],
+        last["translation"],
+        last["camera"],
         first["camera"],
-        now["object"],
-        moved,
+        last["object"],
+        shift,
         np.log10(distance + 1e-3),
-        turned,
+        alignment,
     )
     return np.concatenate(parts, axis=-1).astype(np.float32)
 
 
-def success_inputs(objects: int) -> int:
-    """Length of :func:`success_features` where the one-hot is of so many objects."""
+def success_feature_count(objects: int) -> int:
+    """Number of :func:`success_features` for a number of objects."""
     return 9 + 9 + 1 + 1 + 6 + 3 + 7 + 7 + objects + 3 + 1 + 2

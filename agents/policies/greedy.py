@@ -1,9 +1,9 @@
-"""``greedy``: a network predicts the error after every candidate view; take the best.
+"""``greedy``: networks predict the error after every candidate view; the policy takes the best.
 
 Frahm et al., "VIN-NBV: A View Introspection Network for Next-Best-View Selection" (2025), showed
-for reconstruction that imitating the gain of each candidate and being greedy beats plain
-reinforcement learning. A bank knows the outcome of every candidate of every scene, so here all of
-them are targets at once; a reinforcement learner sees the reward of the one it took.
+for reconstruction that regressing the gain of each candidate and being greedy beats plain
+reinforcement learning. A bank holds the outcome of every candidate of every scene, so all of them
+are targets at once; a reinforcement learner sees the reward of the one it took.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from torch import Tensor, nn
 from ..networks.algorithms import GreedyHyperparameters
 from ..networks.checkpoint import AgentHeader, check_tensors
 from ..networks.predictor import ErrorPredictor, view_features
-from ..networks.success_classifier import SuccessClassifier, success_features, success_inputs
+from ..networks.success_classifier import SuccessClassifier, success_feature_count, success_features
 from .baselines import Policy
 from .view_sphere import (
     Action,
     camera_poses,
+    candidate_actions,
     check_view_sphere,
-    travels,
-    view_actions,
+    travel_distances,
     view_directions,
 )
 
 MIN_SEPARATION = np.deg2rad(25.0)
-"""Views closer than this to one that has been taken are left out, radians."""
+"""Minimum angle between a view and those already taken, radians."""
 
 
 def to_tensors(observation: Mapping[str, np.ndarray], device: torch.device) -> dict[str, Tensor]:
-    """A batch of observations as the network takes them: images 0 to 1, channels first."""
+    """Converts a batch of observations to the network's inputs: images 0 to 1, channels first."""
     arrays = {key: np.ascontiguousarray(array) for key, array in observation.items()}
     tensors = {key: torch.from_numpy(array).to(device) for key, array in arrays.items()}
     tensors["image"] = tensors["image"].permute(0, 3, 1, 2).float() / 255.0
@@ -44,12 +44,12 @@ def to_tensors(observation: Mapping[str, np.ndarray], device: torch.device) -> d
 
 
 class GreedyAgent(nn.Module):
-    """All that is trained: networks that predict errors, and a classifier of the newest pose.
+    """An ensemble of error predictors, and a success classifier (``judge`` in agent files).
 
     Args:
         observation_space: images with channels first.
-        hyperparameters: its shape, and how many networks.
-        crop_width_m: as in :class:`ErrorPredictor`; those of a file replace them.
+        hyperparameters: size and number of the networks.
+        crop_width_m: see :class:`ErrorPredictor`; a file's values replace them.
     """
 
     def __init__(
@@ -66,23 +66,23 @@ class GreedyAgent(nn.Module):
             ErrorPredictor(observation_space, widths, h.features_dim, h.width, h.dropout)
             for _ in range(h.networks)
         )
-        self.judge = SuccessClassifier(success_inputs(objects))
+        self.judge = SuccessClassifier(success_feature_count(objects))
 
     @property
     def device(self) -> torch.device:
-        """Where the networks are."""
+        """Device of the networks."""
         return next(self.parameters()).device
 
     @torch.inference_mode()
     def predict(self, observations: dict[str, Tensor], views: Tensor) -> np.ndarray:
-        """Predicted min(ADD(-S) / diameter, 1) of N views, the mean over the networks, (B, N)."""
+        """Ensemble mean of the predicted min(ADD(-S) / diameter, 1) of N views, (B, N)."""
         logits = torch.stack([network(observations, views)[0] for network in self.networks])
         return torch.sigmoid(logits).mean(dim=0).cpu().numpy()
 
     @torch.inference_mode()
-    def confidence(self, first: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray]) -> float:
-        """Probability that the pose of the newest of an episode's observations is right."""
-        features = torch.from_numpy(success_features(first, now)).to(self.device)
+    def confidence(self, first: Mapping[str, np.ndarray], last: Mapping[str, np.ndarray]) -> float:
+        """Probability that the pose of an episode's last observation is correct."""
+        features = torch.from_numpy(success_features(first, last)).to(self.device)
         return float(torch.sigmoid(self.judge(features)))
 
 
@@ -90,35 +90,31 @@ def load_agent(
     header: AgentHeader,
     observation_space: spaces.Dict,
     weights: Mapping[str, Tensor],
-    what: str,
+    source: str,
     device: torch.device,
 ) -> GreedyAgent:
-    """The networks of an agent file, on a device.
-
-    Raises:
-        InputError: if the weights do not fit the header.
-    """
-    with torch.random.fork_rng(devices=[]):  # their first random weights are not the caller's draws
+    """Builds the networks; raises InputError, naming ``source``, if weights and header differ."""
+    with torch.random.fork_rng(devices=[]):  # random initial weights leave the caller's RNG as is
         agent = GreedyAgent(observation_space, GreedyHyperparameters(**header.hyperparameters))
-    check_tensors(weights, agent.state_dict(), what)
+    check_tensors(weights, agent.state_dict(), source)
     agent.load_state_dict(weights)
     return agent.eval().to(device)
 
 
 class GreedyPolicy(Policy):
-    """Takes the view of least predicted error and travel cost.
+    """Takes the view with the smallest sum of predicted error and travel cost.
 
-    Where an episode may have several second views, it takes further ones until the probability of
-    a right pose reaches the stop threshold, each time the best that is not near one it has taken.
+    In episodes of several second views, it takes further ones until the probability of a correct
+    pose reaches the stop threshold, each time the best that is not near one already taken.
 
     Args:
         agent: its networks.
-        header: what its file says about it.
-        env: the environment in which it acts: it asks it where its actions would send the camera.
+        header: header of its file.
+        env: the environment in which it acts, queried for the cameras after its actions.
     """
 
     def __init__(self, agent: GreedyAgent, header: AgentHeader, env: gym.Env) -> None:
-        self._agent = agent
+        self.agent = agent
         self._env = check_view_sphere(env)
         self._keys = tuple(header.observation_space)
         self._threshold = GreedyHyperparameters(**header.hyperparameters).sure
@@ -126,34 +122,34 @@ class GreedyPolicy(Policy):
         self._costs = np.zeros(0)
 
     def reset(self, rng: np.random.Generator) -> None:
-        """Forgets the episode before; the policy draws nothing."""
+        """Starts an episode; the policy is deterministic."""
         self._first = None
 
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
-        """The best of the candidates; in a Box those of ``TwoViewPoseDiscrete-v0``."""
+        """Returns the best candidate; in a Box those of ``TwoViewPoseDiscrete-v0``."""
         known = {key: observation[key] for key in self._keys}
         stop = getattr(self._env, "stop_action", None)
         if stop is None or self._first is None:
             self._first, self._costs = known, self.predict(known)
-        if stop is not None and self._agent.confidence(self._first, known) >= self._threshold:
+        if stop is not None and self.agent.confidence(self._first, known) >= self._threshold:
             return int(stop)
-        actions = view_actions(self._env)
-        costs = self._costs + self._env.travel_weight * travels(self._env, actions)
+        actions = candidate_actions(self._env)
+        costs = self._costs + self._env.travel_weight * travel_distances(self._env, actions)
         if stop is not None:
-            costs = costs + self._near_taken(actions, observation["taken"])
+            costs = costs + self._taken_penalty(actions, observation["taken"])
         return actions[int(np.argmin(costs))]
 
     def predict(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Predicted min(ADD(-S) / diameter, 1) of each of :func:`view_actions`, (N,)."""
+        """Predicted min(ADD(-S) / diameter, 1) of each of :func:`candidate_actions`, (N,)."""
         env: Any = self._env
-        poses = camera_poses(env, view_actions(env))
+        poses = camera_poses(env, candidate_actions(env))
         views = view_features(env.T_cam_world[None], env.sphere_center[None], poses[None])
-        device = self._agent.device
+        device = self.agent.device
         batch = to_tensors({key: observation[key][None] for key in self._keys}, device)
-        return self._agent.predict(batch, torch.from_numpy(views).to(device))[0]
+        return self.agent.predict(batch, torch.from_numpy(views).to(device))[0]
 
-    def _near_taken(self, actions: list[Any], taken: np.ndarray) -> np.ndarray:
-        """1 for candidates too near to one that has been taken, more for these themselves, (N,)."""
+    def _taken_penalty(self, actions: list[Any], taken: np.ndarray) -> np.ndarray:
+        """1 for candidates too near to one already taken, 2 for the taken ones, (N,)."""
         directions = view_directions(self._env, actions)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         before = directions[taken > 0]

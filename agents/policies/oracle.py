@@ -1,4 +1,4 @@
-"""``oracle``: tries every view and takes the best. It knows the truth: an upper bound."""
+"""``oracle``: simulates every view and takes the best one; an upper bound."""
 
 from __future__ import annotations
 
@@ -9,18 +9,11 @@ import numpy as np
 
 from ...core.errors import InputError
 from .baselines import ViewSpherePolicy
-from .view_sphere import Action, view_actions
+from .view_sphere import Action, candidate_actions
 
 
 class OraclePolicy(ViewSpherePolicy):
-    """Takes the candidate of the highest reward, which it learns from ``simulate_actions``.
-
-    Args:
-        env: an environment that has ``simulate_actions``.
-
-    Raises:
-        InputError: if it cannot.
-    """
+    """Takes the candidate with the smallest true error, which ``simulate_actions`` gives."""
 
     def __init__(self, env: gym.Env) -> None:
         super().__init__(env)
@@ -28,8 +21,8 @@ class OraclePolicy(ViewSpherePolicy):
             raise InputError(f"oracle needs an env with simulate_actions(), got {self._env}")
 
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
-        """The best candidate by the true error; in a Box those of ``TwoViewPoseDiscrete-v0``."""
-        actions = view_actions(self._env)
+        """Returns the best candidate; in a Box those of ``TwoViewPoseDiscrete-v0``."""
+        actions = candidate_actions(self._env)
         outputs = self._env.simulate_actions(actions)
         errors = [info["ground_truth"]["add_second"] for *_, info in outputs]
         return actions[int(np.argmin(errors))]

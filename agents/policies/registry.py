@@ -1,4 +1,4 @@
-"""Policies by name or by file."""
+"""The table of policies, by name or by file."""
 
 from __future__ import annotations
 
@@ -28,27 +28,20 @@ SHIPPED = Path(assets.__file__).parent / "agents"
 
 
 def shipped_agents() -> dict[str, Path]:
-    """The trained agents that ship, by name."""
+    """Files of the trained agents that ship, by name."""
     return {path.stem: path for path in sorted(SHIPPED.glob("*.safetensors"))}
 
 
 def agent_file(name_or_path: str | os.PathLike[str]) -> Path | None:
-    """The file of a trained policy; None for the name of a baseline.
-
-    Raises:
-        InputError: if it is neither a name nor a file.
-    """
-    name = os.fspath(name_or_path)
+    """The file of a trained policy, None for a baseline; raises InputError if it is neither."""
+    name, shipped = os.fspath(name_or_path), shipped_agents()
     if name in BASELINES:
         return None
-    shipped = shipped_agents()
     if name in shipped:
         return shipped[name]
     if not os.path.isfile(name):
-        raise InputError(
-            f"policy must be one of {', '.join([*BASELINES, *shipped])}, or a file that "
-            f"train-agent wrote; got {name!r}, which is no file"
-        )
+        names = ", ".join([*BASELINES, *shipped])
+        raise InputError(f"policy must be one of {names}, or a file of train-agent; got {name!r}")
     return Path(name)
 
 
@@ -56,14 +49,13 @@ def make_policy(name_or_path: str | os.PathLike[str], env: gym.Env, device: str 
     """Makes a policy that acts in ``env``.
 
     Args:
-        name_or_path: the name of a baseline or of a trained agent that ships, or a file that
-            ``train-agent`` wrote.
-        env: the environment; most baselines ask it about the running episode.
+        name_or_path: a baseline, a trained agent that ships, or a file of ``train-agent``.
+        env: the environment; most baselines query it during the episode.
         device: where the networks of a trained one run, see ``load_policy``.
 
     Raises:
-        InputError: if it is neither, or the file is damaged or of other spaces than ``env``'s, or
-            there is no such device for its networks.
+        InputError: if it is neither, the file is corrupted or of other spaces than ``env``'s, or
+            there is no such device.
     """
     path = agent_file(name_or_path)
     if path is None:

@@ -1,4 +1,4 @@
-"""A trained agent, rebuilt from its file: data in, policy out, nothing executed."""
+"""Trained agents, rebuilt from plain data; loading a file executes nothing."""
 
 from __future__ import annotations
 
@@ -30,88 +30,77 @@ from .view_sphere import Action
 
 
 class TrainedPolicy(Policy):
-    """Acts with a network that SB3 trained, deterministically."""
+    """Acts deterministically with a policy that SB3 trained."""
 
     def __init__(self, policy: BasePolicy) -> None:
         self._policy = policy
 
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
-        """The action for one observation of the environment (not batched)."""
+        """Returns the action for one observation of the environment (not batched)."""
         action, _ = self._policy.predict(dict(observation), deterministic=True)
         return int(action) if isinstance(self._policy.action_space, spaces.Discrete) else action
 
 
 def load_policy(path: str | os.PathLike[str], env: gym.Env, device: str = "auto") -> Policy:
-    """Loads what ``train-agent`` wrote, a ``policy.safetensors`` or a ``checkpoint.safetensors``.
+    """Loads a ``policy.safetensors`` or ``checkpoint.safetensors`` of ``train-agent``.
 
     Args:
         path: the file.
-        env: the environment it will act in.
+        env: the environment in which it will act.
         device: where its networks run: ``auto`` (a GPU where there is one), ``cpu``, ``cuda``,
             ``cuda:N`` or ``mps``.
 
     Raises:
         FileNotFoundError: if there is no such file.
-        InputError: if it is not an agent file, is damaged, or was trained on other observations
-            or actions than those of ``env``, or there is no such device.
+        InputError: if it is not an agent file, is corrupted, or was trained with other spaces than
+            those of ``env``, or there is no such device.
     """
-    place = resolve_device(device)
+    torch_device = resolve_device(device)
     header, tensors = read_agent(path, prefix="policy/")
     check_hyperparameters(header.algo, header.hyperparameters)
     _check_spaces(header, env, path)
-    weights = subset(tensors, "policy/")
+    weights, source = subset(tensors, "policy/"), f"agent file {path}"
+    space = channels_first(env)
     if header.algo == GREEDY:
-        known = {key: channels_first(env)[key] for key in header.observation_space}
-        agent = load_agent(header, spaces.Dict(known), weights, f"agent file {path}", place)
-        return GreedyPolicy(agent, header, env)
-    policy = _build(header, env)
-    check_tensors(weights, policy.state_dict(), f"agent file {path}")
+        known = spaces.Dict({key: space[key] for key in header.observation_space})
+        return GreedyPolicy(load_agent(header, known, weights, source, torch_device), header, env)
+    policy = _build(header, space, env.action_space)
+    check_tensors(weights, policy.state_dict(), source)
     policy.load_state_dict(weights)
-    return TrainedPolicy(policy.to(place))
+    return TrainedPolicy(policy.to(torch_device))
 
 
 def channels_first(env: gym.Env) -> spaces.Dict:
-    """The observation space as SB3 trains on it: images with channels first.
-
-    Raises:
-        InputError: if it is no Dict.
-    """
+    """The observation space with channels-first images; raises InputError if it is not a Dict."""
     space = env.observation_space
     if not isinstance(space, spaces.Dict):
         raise InputError(f"the environment's observation must be a Dict, got {space}")
-    return spaces.Dict(
-        {
-            key: VecTransposeImage.transpose_space(part)
-            if isinstance(part, spaces.Box) and is_image_space(part)
-            else part
-            for key, part in space.spaces.items()
-        }
-    )
+    parts = dict(space.spaces)
+    for key, part in parts.items():
+        if isinstance(part, spaces.Box) and is_image_space(part):
+            parts[key] = VecTransposeImage.transpose_space(part)
+    return spaces.Dict(parts)
 
 
-def _build(header: AgentHeader, env: gym.Env) -> BasePolicy:
-    space = channels_first(env)
+def _build(header: AgentHeader, space: spaces.Dict, action_space: spaces.Space) -> BasePolicy:
     policy_class: Any = ALGORITHMS[header.algo].policy_aliases[POLICY_CLASS]
-    with torch.random.fork_rng(devices=[]):  # its first random weights are not the caller's draws
+    kwargs = policy_kwargs(header.hyperparameters)
+    with torch.random.fork_rng(devices=[]):  # random initial weights leave the caller's RNG as is
         try:
-            policy = policy_class(
-                space, env.action_space, lambda _: 0.0, **policy_kwargs(header.hyperparameters)
-            )
+            policy = policy_class(space, action_space, lambda _: 0.0, **kwargs)
         except (TypeError, AttributeError, AssertionError) as error:
             raise InputError(
-                f"agent's policy_kwargs {header.hyperparameters.get('policy_kwargs')} do not make "
-                f"a policy of {header.algo}: {error}"
+                f"policy_kwargs {header.hyperparameters.get('policy_kwargs')} do not make a policy "
+                f"of {header.algo}: {error}"
             ) from error
     policy.set_training_mode(False)
     return policy
 
 
 def _check_spaces(header: AgentHeader, env: gym.Env, path: str | os.PathLike[str]) -> None:
-    greedy = header.algo == GREEDY  # it takes any views, and leaves out what it does not know
-    for name, trained in (
-        ("observation", header.observation_space),
-        ("action", header.action_space),
-    ):
+    greedy = header.algo == GREEDY  # takes any views, ignores further observations
+    for name in ("observation", "action"):
+        trained = getattr(header, f"{name}_space")
         found = describe_space(getattr(env, f"{name}_space"))
         if greedy and name == "observation" and isinstance(found, dict):
             found = {key: part for key, part in found.items() if key in trained}

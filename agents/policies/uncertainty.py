@@ -1,11 +1,10 @@
-"""``uncertainty``: the view that measures best what the robot knows least.
+"""``uncertainty``: next best view by Fisher information of the keypoints.
 
-A next best view by Fisher information, as for robots that measure points with a camera (Zhang and
-Scaramuzza, "Beyond point clouds: Fisher information field for active visual localization", ICRA
-2019; Kiciroglu et al., "ActiveMoCap", CVPR 2020, choose views by the projected covariance). Each
-keypoint is known with a covariance. A view measures its two pixel coordinates, which adds the
-information J^T R^-1 J, where J is the projection's derivative there. The view is taken that
-leaves the smallest sum of variances. It knows geometry, not occluders.
+As for robots that measure points with a camera (Zhang and Scaramuzza, "Beyond point clouds: Fisher
+information field for active visual localization", ICRA 2019; Kiciroglu et al., "ActiveMoCap", CVPR
+2020, choose views by the projected covariance). Each keypoint has a covariance. A view measures its
+two pixel coordinates, which adds the information J^T R^-1 J, where J is the projection's Jacobian.
+The policy takes the view with the smallest sum of posterior variances. It ignores occlusion.
 """
 
 from __future__ import annotations
@@ -17,41 +16,29 @@ import numpy as np
 from ...core.errors import InputError
 from ...core.geometry import invert, transform
 from .baselines import ViewSpherePolicy
-from .view_sphere import Action, camera_poses, view_actions
+from .view_sphere import Action, camera_poses, candidate_actions
 
 PIXEL_DEVIATION = 2.0
-"""Standard deviation of a voted keypoint in a full image, pixels; the shipped networks' is 1.5
-to 3."""
+"""Standard deviation of a voted keypoint, pixels of the full image; that of the shipped networks is
+1.5 to 3."""
 
 _MIN_DEPTH = 0.05
 _MIN_VARIANCE = 1e-10
 
 
 class UncertaintyPolicy(ViewSpherePolicy):
-    """Takes the view after which the keypoints' predicted covariances have the least trace.
-
-    Args:
-        env: an environment with a view sphere and an estimator.
-    """
+    """Takes the view after which the keypoints' covariances have the smallest trace."""
 
     def act(self, observation: Mapping[str, np.ndarray]) -> Action:
-        """The view that leaves the least variance; of two alike the first.
-
-        Raises:
-            InputError: if the environment has no estimator.
-        """
+        """Returns the best view, of equal ones the first; raises InputError without estimator."""
         estimate = self._env.estimate
         if estimate is None:
-            raise InputError("uncertainty needs an estimator: without one nothing is known")
-        actions = view_actions(self._env)
+            raise InputError("uncertainty needs an environment with an estimator")
+        actions = candidate_actions(self._env)
         relative = camera_poses(self._env, actions) @ invert(self._env.T_cam_world)
-        left = [
-            predicted_variance(
-                estimate.keypoints, estimate.keypoint_covariance, T, self._env.intrinsics
-            )
-            for T in relative
-        ]
-        return actions[int(np.argmin(left))]
+        known = estimate.keypoints, estimate.keypoint_covariance
+        variances = [predicted_variance(*known, T, self._env.intrinsics) for T in relative]
+        return actions[int(np.argmin(variances))]
 
 
 def predicted_variance(
@@ -61,17 +48,14 @@ def predicted_variance(
     K: np.ndarray,
     deviation: float = PIXEL_DEVIATION,
 ) -> float:
-    """Sum of the keypoints' variances once a second camera has seen them too.
+    """Sum of the keypoints' variances after a second view, square meters.
 
     Args:
         keypoints: (N, 3) in the reference camera, meters.
-        covariance: theirs, (N, 3, 3), square meters.
+        covariance: of the keypoints, (N, 3, 3), square meters.
         T_second_ref: reference camera to second camera, (4, 4).
         K: camera matrix of both, (3, 3).
         deviation: of a measured keypoint, pixels.
-
-    Returns:
-        Square meters.
     """
     points = transform(T_second_ref, keypoints)
     x, y, z = points[:, 0], points[:, 1], np.maximum(points[:, 2], _MIN_DEPTH)

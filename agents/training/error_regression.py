@@ -1,8 +1,7 @@
-"""Supervised training of the networks of ``greedy`` on a bank; nothing is imitated.
+"""Supervised training of the networks of ``greedy`` on a bank.
 
-Error regression: the bank knows the error and the visibility after every candidate view of every
-scene, and networks learn to predict them. Success classification: the bank knows the estimate after
-every view and whether it was right, and a small network learns to predict it.
+Error regression: networks learn to predict the error and the visibility of every candidate view of
+every scene. Success classification: a small network learns whether an estimate is correct.
 """
 
 from __future__ import annotations
@@ -27,18 +26,18 @@ from ..networks.success_classifier import SuccessClassifier, success_features
 from ..policies.greedy import GreedyAgent
 
 MAX_SHIFT = 2
-"""Pixels by which a crop is shifted at most in training."""
+"""Augmentation shifts crops by up to this many pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorDataset:
-    """A bank as the network's inputs and targets.
+    """Inputs and targets of the error predictor.
 
     Attributes:
         observations: batch of all scenes, images uint8 (M, 3, S, S).
         views: (M, N, 11), see :func:`view_features`.
-        errors: min(ADD(-S) / diameter, 1), (M, N); NaN where it is not known.
-        visibility: visible fraction of the object, (M, N); NaN where it is not known.
+        errors: min(ADD(-S) / diameter, 1), (M, N); NaN if unknown.
+        visibility: visible fraction of the object, (M, N); NaN if unknown.
     """
 
     observations: dict[str, Tensor]
@@ -47,41 +46,37 @@ class ErrorDataset:
     visibility: Tensor
 
     @classmethod
-    def of(
+    def from_bank(
         cls, bank: ViewBank, mirrored: bool = False, device: torch.device = torch.device("cpu")
     ) -> ErrorDataset:
-        """Reads a bank, or what it would be in a mirror, onto a device."""
+        """Copies a bank, or its mirror image, to a device."""
         first = bank.first
         if mirrored:
             first = Mirror(check_candidates(bank.header.candidate_views)).observation(first)
         views = view_features(bank.T_cam_world, bank.center, bank.second_T_cam_world, mirrored)
         observations = {k: torch.from_numpy(a.copy()).to(device) for k, a in first.items()}
         observations["image"] = observations["image"].permute(0, 3, 1, 2).contiguous()
-        return cls(
-            observations,
-            torch.from_numpy(views).to(device),
-            torch.from_numpy(np.minimum(bank.second_error, 1.0).astype(np.float32)).to(device),
-            torch.from_numpy(bank.second_visibility.astype(np.float32)).to(device),
-        )
+        targets = np.minimum(bank.second_error, 1.0), bank.second_visibility
+        arrays = (views, *(target.astype(np.float32) for target in targets))
+        return cls(observations, *(torch.from_numpy(array).to(device) for array in arrays))
 
     def concatenate(self, other: ErrorDataset) -> ErrorDataset:
-        """This dataset, then another."""
-        keys = self.observations
+        """Appends another dataset."""
+        names = ("views", "errors", "visibility")
+        pairs = {key: (value, other.observations[key]) for key, value in self.observations.items()}
         return ErrorDataset(
-            {key: torch.cat([self.observations[key], other.observations[key]]) for key in keys},
-            torch.cat([self.views, other.views]),
-            torch.cat([self.errors, other.errors]),
-            torch.cat([self.visibility, other.visibility]),
+            {key: torch.cat(pair) for key, pair in pairs.items()},
+            *(torch.cat([getattr(self, name), getattr(other, name)]) for name in names),
         )
 
     def batch(self, rows: Tensor) -> tuple[dict[str, Tensor], Tensor]:
-        """Observations of some of the scenes, their images 0 to 1, and the views."""
+        """Returns the observations, images 0 to 1, and the views of some scenes."""
         observations = {key: value[rows] for key, value in self.observations.items()}
         observations["image"] = observations["image"].float() / 255.0
         return observations, self.views[rows]
 
 
-def train_agent_networks(
+def train_greedy_agent(
     bank: ViewBank,
     observation_space: spaces.Dict,
     hyperparameters: GreedyHyperparameters,
@@ -90,31 +85,31 @@ def train_agent_networks(
     visibility_bank: ViewBank | None = None,
     device: torch.device = torch.device("cpu"),
 ) -> GreedyAgent:
-    """Trains the networks of one agent; on the processor the same arguments give the same weights.
+    """Trains the networks of one agent; on the CPU the same arguments give the same weights.
 
-    There one thread computes: several add up in another order, and networks as small as these
-    gain nothing by them.
+    Uses one CPU thread: several sum in another order, and are not faster for such small networks.
 
     Args:
-        bank: the scenes to learn from.
+        bank: the training scenes.
         observation_space: images with channels first.
-        hyperparameters: see there.
-        seed: of first weights, order and augmentation.
-        progress: show a bar.
-        visibility_bank: further scenes, of which only visibilities are known.
-        device: where to train; all scenes are held there.
+        hyperparameters: of networks and training.
+        seed: of initial weights, order and augmentation.
+        progress: show a progress bar.
+        visibility_bank: further scenes with known visibilities only.
+        device: where to train; holds all scenes.
     """
-    datasets = [ErrorDataset.of(bank, mirrored, device) for mirrored in (False, True)]
-    if visibility_bank is not None:
-        datasets = [
-            dataset.concatenate(ErrorDataset.of(visibility_bank, mirrored, device))
-            for dataset, mirrored in zip(datasets, (False, True), strict=True)
-        ]
+    datasets = []
+    for mirrored in (False, True):
+        dataset = ErrorDataset.from_bank(bank, mirrored, device)
+        if visibility_bank is not None:
+            more = ErrorDataset.from_bank(visibility_bank, mirrored, device)
+            dataset = dataset.concatenate(more)
+        datasets.append(dataset)
     rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
     forked = [device] if device.type == "cuda" else []
     with torch.random.fork_rng(devices=forked), _one_thread():
         torch.manual_seed(int(rng.integers(2**31)))
-        with torch.device("cpu"):  # first weights are drawn there, whatever trains them
+        with torch.device("cpu"):  # initial weights are the same for every device
             agent = GreedyAgent(
                 observation_space, hyperparameters, crop_widths(bank.header.diameters)
             )
@@ -134,12 +129,12 @@ def train_agent_networks(
 @contextmanager
 def _one_thread() -> Iterator[None]:
     """Limits torch to one thread."""
-    before = torch.get_num_threads()
+    threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
         yield
     finally:
-        torch.set_num_threads(before)
+        torch.set_num_threads(threads)
 
 
 def train_error_predictor(
@@ -148,7 +143,7 @@ def train_error_predictor(
     hyperparameters: GreedyHyperparameters,
     rng: np.random.Generator,
 ) -> Iterator[Tensor]:
-    """Trains one network, each batch from one of the datasets; yields each epoch's mean loss."""
+    """Trains one network, each batch from a random dataset; yields each epoch's mean loss."""
 
     def batch_loss(rows: Tensor) -> Tensor:
         dataset = datasets[int(rng.integers(len(datasets)))]
@@ -166,13 +161,13 @@ def train_success_classifier(
 ) -> None:
     """Trains a classifier on every estimate of a bank; ``rng`` draws the order."""
     device = next(classifier.parameters()).device
-    features, right = (tensor.to(device) for tensor in _labeled_estimates(bank))
+    features, success = (tensor.to(device) for tensor in _labeled_estimates(bank))
 
     def batch_loss(rows: Tensor) -> Tensor:
-        return F.binary_cross_entropy_with_logits(classifier(features[rows]), right[rows])
+        return F.binary_cross_entropy_with_logits(classifier(features[rows]), success[rows])
 
     hyperparameters = GreedyHyperparameters(epochs=10, batch_size=256)
-    for _ in _fit(classifier, len(right), batch_loss, hyperparameters, rng):
+    for _ in _fit(classifier, len(success), batch_loss, hyperparameters, rng):
         pass
     classifier.eval()
 
@@ -184,7 +179,7 @@ def _fit(
     hyperparameters: GreedyHyperparameters,
     rng: np.random.Generator,
 ) -> Iterator[Tensor]:
-    """Trains on ``count`` rows by the loss of those of a batch; yields each epoch's mean loss."""
+    """Trains on batches of ``count`` rows; yields each epoch's mean loss."""
     h, device = hyperparameters, next(network.parameters()).device
     optimizer = torch.optim.AdamW(
         network.parameters(), lr=h.learning_rate, weight_decay=h.weight_decay
@@ -193,7 +188,7 @@ def _fit(
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, h.epochs * batches)
     network.train()
     for _ in range(h.epochs):
-        total = torch.zeros((), device=device)  # a number would have every step wait for a GPU
+        total = torch.zeros((), device=device)  # a float would synchronize with the GPU
         for rows in np.array_split(rng.permutation(count), batches):
             loss = batch_loss(torch.from_numpy(rows).to(device))
             optimizer.zero_grad()
@@ -205,16 +200,15 @@ def _fit(
 
 
 def _masked_loss(logits: Tensor, target: Tensor) -> Tensor:
-    """Cross entropy where the target is known (not NaN); 0 where none is."""
+    """Mean cross entropy over targets that are not NaN; 0 if there are none."""
     known = torch.isfinite(target)
-    losses = F.binary_cross_entropy_with_logits(
-        logits, torch.where(known, target, torch.zeros_like(target)), reduction="none"
-    )
+    zeroed = torch.where(known, target, torch.zeros_like(target))
+    losses = F.binary_cross_entropy_with_logits(logits, zeroed, reduction="none")
     return (losses * known).sum() / known.sum().clamp(min=1)
 
 
 def augment(images: Tensor, rng: np.random.Generator) -> Tensor:
-    """Crops (B, 3, S, S) shifted a little, brighter or darker, with more contrast or less."""
+    """Shifts crops (B, 3, S, S) randomly and changes their brightness and contrast."""
     shift = rng.integers(-MAX_SHIFT, MAX_SHIFT + 1, 2).tolist()
     size = (len(images), 1, 1, 1)
     draws = rng.uniform(0.8, 1.2, size), rng.normal(0.0, 0.1, size)
@@ -225,22 +219,19 @@ def augment(images: Tensor, rng: np.random.Generator) -> Tensor:
 
 
 def _labeled_estimates(bank: ViewBank) -> tuple[Tensor, Tensor]:
-    """Features of every estimate of a bank (M * (N + 1), F), and whether each is right."""
-    first = {
-        key: np.repeat(array[:, None], bank.slots, axis=1)
-        for key, array in bank.first.items()
-        if key != "image"
-    }
+    """Features of every estimate of a bank (M * (N + 1), F), and whether each is correct."""
+    vectors = {key: array for key, array in bank.first.items() if key != "image"}
+    first = {k: np.repeat(array[:, None], bank.slots, axis=1) for k, array in vectors.items()}
     second = dict(bank.second) | {"object": first["object"]}
     pairs = success_features(first, second).reshape(len(bank) * bank.slots, -1)
-    alone = success_features(bank.first, bank.first)
-    features = torch.from_numpy(np.concatenate([pairs, alone]))
-    right = np.concatenate([(bank.second_error < 0.1).ravel(), bank.first_error < 0.1])
-    return features, torch.from_numpy(right.astype(np.float32))
+    single = success_features(bank.first, bank.first)
+    features = torch.from_numpy(np.concatenate([pairs, single]))
+    success = np.concatenate([bank.second_error.ravel(), bank.first_error]) < 0.1
+    return features, torch.from_numpy(success.astype(np.float32))
 
 
-def chosen_slots(agent: GreedyAgent, bank: ViewBank) -> np.ndarray:
-    """The slot of least predicted error in every scene of a bank, (M,)."""
-    dataset = ErrorDataset.of(bank, device=agent.device)
+def predicted_best_slots(agent: GreedyAgent, bank: ViewBank) -> np.ndarray:
+    """The slot with the smallest predicted error in every scene of a bank, (M,)."""
+    dataset = ErrorDataset.from_bank(bank, device=agent.device)
     observations, views = dataset.batch(torch.arange(len(bank), device=agent.device))
     return agent.predict(observations, views).argmin(axis=1)

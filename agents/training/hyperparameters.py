@@ -1,4 +1,4 @@
-"""Tuned hyper-parameters: YAML in rl-zoo3's form, checked, turned into SB3 arguments."""
+"""Tuned hyper-parameters: reads YAML in rl-zoo3's format and converts it to SB3 arguments."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def load_hyperparameters(algo: str, env_id: str, path: Path | None = None) -> di
 
     Args:
         algo: ``ppo``, ``sac``, ``dqn`` or ``greedy``.
-        env_id: the environment's id, without the name of a module before a colon.
-        path: a YAML file of the same form as the shipped one, or None for the shipped one.
+        env_id: the environment's id, without a module name before a colon.
+        path: a YAML file of the same format; None for the shipped one.
 
     Raises:
-        InputError: if the file is malformed, has no such entry or has an unknown name in it.
+        InputError: if the file is malformed, or has no such entry or an unknown name.
     """
     source = SHIPPED if path is None else path
     try:
@@ -32,19 +32,17 @@ def load_hyperparameters(algo: str, env_id: str, path: Path | None = None) -> di
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise InputError(f"hyper-parameter file {source} cannot be read: {error}") from error
     table = document.get(algo) if isinstance(document, dict) else None
-    known = table if isinstance(table, dict) else {}
-    entry = known.get(env_id)
+    entries = table if isinstance(table, dict) else {}
+    entry = entries.get(env_id)
     if not isinstance(entry, dict):
-        raise InputError(
-            f"hyper-parameter file {source} has no entry {algo}: {env_id} "
-            f"(for {algo} it has {', '.join(sorted(known)) or 'none'})"
-        )
+        names = ", ".join(sorted(entries)) or "none"
+        raise InputError(f"{source} has no entry {algo}: {env_id} (for {algo} it has {names})")
     check_hyperparameters(algo, entry)
     return entry
 
 
 def algorithm_kwargs(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """The arguments of the SB3 algorithm that ``entry`` describes, without policy and env."""
+    """Converts an entry to keyword arguments of the SB3 algorithm, without policy and env."""
     kwargs = {key: _schedule(value) for key, value in entry.items() if key not in RESERVED_KEYS}
     if isinstance(kwargs.get("train_freq"), list):
         kwargs["train_freq"] = tuple(kwargs["train_freq"])
@@ -52,10 +50,10 @@ def algorithm_kwargs(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _schedule(value: Any) -> Any:
-    """rl-zoo3's ``lin_x``: from x at the start of training to 0 at its end."""
+    """Converts rl-zoo3's ``lin_x``, linear from x at the start of training to 0 at its end."""
     if not (isinstance(value, str) and value.startswith("lin_")):
         return value
     try:
         return LinearSchedule(float(value.removeprefix("lin_")), 0.0, 1.0)
     except ValueError as error:
-        raise InputError(f"a linear schedule is written lin_<number>, got {value!r}") from error
+        raise InputError(f"a linear schedule must be lin_<number>, got {value!r}") from error

@@ -1,7 +1,7 @@
-"""A Gymnasium vector environment as Stable-Baselines3 wants its environments.
+"""Adapts a Gymnasium vector environment to Stable-Baselines3's ``VecEnv``.
 
-SB3 has vector environments of its own, which run single ones in turn or in a process each, each
-with an estimator. ``TwoViewPoseVectorEnv`` asks one estimator for all sub-environments at once.
+SB3's own vector environments run sub-environments sequentially or in one process each, each with
+its own estimator. ``TwoViewPoseVectorEnv`` batches all of them in one estimator.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ...core.errors import InputError
 
 
 def has_vector_env(env_id: str) -> bool:
-    """Whether several of an environment are a ``TwoViewPoseVectorEnv``."""
+    """Whether ``gymnasium.make_vec`` gives a ``TwoViewPoseVectorEnv`` for an id."""
     module, _, name = env_id.rpartition(":")
     if module:
         importlib.import_module(module)  # where the id is registered
@@ -31,29 +31,27 @@ def has_vector_env(env_id: str) -> bool:
 def make_sub_environments(
     env_id: str, n_envs: int = 1, env_kwargs: dict[str, Any] | None = None
 ) -> VecEnv:
-    """Makes sub-environments that share one estimator, monitored as SB3's ``make_vec_env`` does.
+    """Makes a monitored ``VecEnv`` of sub-environments that share one estimator.
 
     Args:
         env_id: an id for which :func:`has_vector_env` holds.
-        n_envs: how many sub-environments.
+        n_envs: number of sub-environments.
         env_kwargs: arguments of ``gymnasium.make_vec``.
     """
-    return VecMonitor(
-        SharedEstimatorVecEnv(gym.make_vec(env_id, num_envs=n_envs, **env_kwargs or {}))
-    )
+    vector = gym.make_vec(env_id, num_envs=n_envs, **env_kwargs or {})
+    return VecMonitor(SharedEstimatorVecEnv(vector))
 
 
 class SharedEstimatorVecEnv(DummyVecEnv):
-    """The sub-environments of a vector environment, for SB3's trainers.
+    """A Gymnasium vector environment as an SB3 ``VecEnv``.
 
-    Observations, rewards and infos are those of SB3's ``DummyVecEnv`` with as many single
-    environments and the same seeds.
+    Observations, rewards and infos equal those of SB3's ``DummyVecEnv`` with the same seeds.
 
     Args:
-        vector: resets in the step that ends an episode, as ``TwoViewPoseVectorEnv`` does.
+        vector: with autoreset mode SAME_STEP and an attribute ``envs``.
 
     Raises:
-        InputError: if it resets in the next step instead, or keeps no environments of its own.
+        InputError: if it has another autoreset mode or no ``envs``.
     """
 
     def __init__(self, vector: VectorEnv[Any, Any, Any]) -> None:
@@ -61,17 +59,13 @@ class SharedEstimatorVecEnv(DummyVecEnv):
         if mode != AutoresetMode.SAME_STEP:
             raise InputError(f"autoreset_mode must be {AutoresetMode.SAME_STEP}, got {mode}")
         if not hasattr(vector.unwrapped, "envs"):
-            raise InputError(f"{vector.unwrapped} must have its environments in envs")
-        environments = iter(vector.unwrapped.envs)
-        super().__init__([lambda: next(environments)] * vector.num_envs)
+            raise InputError(f"{vector.unwrapped} must have the attribute envs")
+        envs = iter(vector.unwrapped.envs)
+        super().__init__([lambda: next(envs)] * vector.num_envs)
         self._vector = DictInfoToList(vector)
 
     def reset(self) -> VecEnvObs:
-        """Begins an episode in every sub-environment, with the seeds and options that were set.
-
-        Raises:
-            InputError: if sub-environments were given different options.
-        """
+        """Resets every sub-environment; raises InputError if their options differ."""
         options = self._options[0]
         if any(own != options for own in self._options[1:]):
             raise InputError("options must be the same for all sub-environments")
@@ -84,7 +78,7 @@ class SharedEstimatorVecEnv(DummyVecEnv):
         return observations
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Observations, rewards, ends and infos; the info of an ended episode is its last."""
+        """Returns observations, rewards, dones and infos; a done episode has its final info."""
         observations, rewards, terminated, truncated, infos = self._vector.step(self.actions)
         done = terminated | truncated
         returned = []
@@ -93,10 +87,10 @@ class SharedEstimatorVecEnv(DummyVecEnv):
                 last, final = info.pop("final_obs"), info.pop("final_info")
                 self.reset_infos[i] = info
                 info = {**final, "terminal_observation": last}
-            cut = bool(truncated[i] and not terminated[i])
-            returned.append({**info, "TimeLimit.truncated": cut})
+            time_limit = bool(truncated[i] and not terminated[i])
+            returned.append({**info, "TimeLimit.truncated": time_limit})
         return observations, rewards.astype(np.float32), done, returned
 
     def close(self) -> None:
-        """Ends the workers and frees the sub-environments."""
+        """Stops the workers and closes the sub-environments."""
         self._vector.close()

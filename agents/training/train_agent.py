@@ -1,4 +1,4 @@
-"""Training an agent with Stable-Baselines3: one command, which may be killed and run again."""
+"""Resumable training of an agent with Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from ..networks.checkpoint import AgentHeader, read_agent, write_agent
 from .config import BOX_ENV, DISCRETE_ENV, TrainAgentConfig
 from .hyperparameters import algorithm_kwargs, load_hyperparameters
 from .sub_environments import has_vector_env, make_sub_environments
-from .training_state import counters, restart, restore_state, state_tensors
+from .training_state import counters, reseed, restore_state, state_tensors
 from .validation import (
+    MIN_REWARD,
     POLICY,
-    WORST,
+    ValidationCallback,
     make_env,
     make_header,
-    make_validation,
     record_missing,
     save_policy,
     split_bank,
@@ -40,24 +40,20 @@ CHECKPOINT, LOGS = "checkpoint.safetensors", "tb"
 
 
 def train_agent(config: TrainAgentConfig) -> Path:
-    """Trains an agent and saves it; resumes from the folder's checkpoint if there is one.
-
-    Args:
-        config: see `TrainAgentConfig`.
+    """Trains and saves an agent; resumes from the folder's checkpoint if there is one.
 
     Returns:
         The file of the trained policy, for ``evaluate-agent``.
 
     Raises:
-        InputError: if an argument is wrong, there is no such device, or the folder holds a run of
+        InputError: if an argument is wrong, there is no such device, or the folder holds a run with
             other arguments.
     """
     check_device(config.device)
     if config.record:
         record_missing(config)
-    entry = load_hyperparameters(
-        config.algo, config.env_id.rpartition(":")[2], config.hyperparameters
-    )
+    env_id = config.env_id.rpartition(":")[2]
+    entry = load_hyperparameters(config.algo, env_id, config.hyperparameters)
     if config.algo == GREEDY:
         from .train_greedy import train_greedy
 
@@ -65,11 +61,11 @@ def train_agent(config: TrainAgentConfig) -> Path:
     steps = config.steps or entry.get("n_timesteps", 0)
     n_envs = config.n_envs or entry.get("n_envs", 1)
     if not all(isinstance(value, int) and value > 0 for value in (steps, n_envs)):
-        raise InputError(f"n_timesteps and n_envs must be at least 1, got {steps} and {n_envs}")
+        raise InputError(f"n_timesteps and n_envs must be >= 1, got {steps} and {n_envs}")
     arguments = config.environment_arguments | config.device_argument
     replay = config.bank is not None
-    learning, validating = split_bank(config) if replay else ({}, {})
-    venv = _environments(config.env_id, arguments | learning, n_envs, replay)
+    training, validation = split_bank(config) if replay else ({}, {})
+    venv = _make_venv(config.env_id, arguments | training, n_envs, replay)
     venv.seed(config.seed)
     try:
         header = make_header(config, entry, venv, n_envs)
@@ -78,70 +74,66 @@ def train_agent(config: TrainAgentConfig) -> Path:
             load_pretrained_extractor(model.policy, config.pretrained_extractor)
         callbacks: list[BaseCallback] = [_Checkpoints(header, config)]
         if replay:
-            model.best_mean_reward = WORST  # type: ignore[attr-defined]
-            callbacks.append(make_validation(header, config, arguments | validating, n_envs))
+            model.best_mean_reward = MIN_REWARD  # type: ignore[attr-defined]
+            callbacks.append(ValidationCallback(header, config, arguments | validation, n_envs))
         resumed = _resume(model, header, config)
         if resumed:
             print(f"Resuming {config.out} at step {model.num_timesteps} of {steps}.")
-        start, began = model.num_timesteps, time.perf_counter()
-        if steps > start:
+        first_step, start = model.num_timesteps, time.perf_counter()
+        if steps > first_step:
             model.learn(
-                steps - start,
+                steps - first_step,
                 callback=callbacks,
                 log_interval=1 if config.algo == "ppo" else 50,
                 tb_log_name=config.algo,
                 reset_num_timesteps=not resumed,
                 progress_bar=config.progress,
             )
-        seconds = time.perf_counter() - began
+        seconds = time.perf_counter() - start
         save_agent(model, header, config.out, policy=not replay)
     finally:
         venv.close()
-    _report(model, config, model.num_timesteps - start, seconds)
+    _report(model, config, model.num_timesteps - first_step, seconds)
     return config.out / POLICY
 
 
 class _Checkpoints(BaseCallback):
-    """Saves the trainer between two rollouts, where it is complete, every so many steps."""
+    """Saves the trainer at regular steps, between two rollouts."""
 
     def __init__(self, header: AgentHeader, config: TrainAgentConfig) -> None:
         super().__init__()
-        self._header = header
-        self._out = config.out
-        self._every = config.checkpoint_every
-        self._policy = config.bank is None  # else the best one so far is kept
-        self._due: int | None = None
+        self._header, self._out = header, config.out
+        self._policy = config.bank is None  # with a bank the best one is kept instead
+        self._next_steps = 0
 
     def _on_rollout_start(self) -> None:
-        steps = self.model.num_timesteps
-        if self._due is not None and steps < self._due:
+        steps, every = self.model.num_timesteps, self._header.checkpoint_every
+        if steps < self._next_steps:
             return
-        if self._due is not None:
+        if self._next_steps:
             save_agent(self.model, self._header, self._out, policy=self._policy)
-        restart(self.model, self._header.seed)
-        self._due = (steps // self._every + 1) * self._every
+        reseed(self.model, self._header.seed)
+        self._next_steps = (steps // every + 1) * every
 
     def _on_step(self) -> bool:
         return True
 
 
 def save_agent(model: BaseAlgorithm, header: AgentHeader, out: Path, policy: bool = True) -> None:
-    """Writes the policy if asked, and the checkpoint from which training can resume."""
+    """Writes the checkpoint, and the policy if asked."""
     header = replace(header, steps=model.num_timesteps)
     if policy:
         save_policy(model, header, out)
     write_agent(out / CHECKPOINT, replace(header, counters=counters(model)), state_tensors(model))
 
 
-def _environments(env_id: str, arguments: dict[str, Any], n_envs: int, replay: bool) -> VecEnv:
-    """One, or several that share an estimator where there is such a thing, or a process each."""
+def _make_venv(env_id: str, arguments: dict[str, Any], n_envs: int, replay: bool) -> VecEnv:
+    """Several environments share an estimator if possible, else each has a process."""
     if n_envs > 1 and not replay and has_vector_env(env_id):
         return make_sub_environments(env_id, n_envs, arguments)
-    return make_vec_env(
-        functools.partial(make_env, env_id, arguments),
-        n_envs=n_envs,
-        vec_env_cls=DummyVecEnv if n_envs == 1 or replay else SubprocVecEnv,
-    )
+    vec_env_cls = DummyVecEnv if n_envs == 1 or replay else SubprocVecEnv
+    make = functools.partial(make_env, env_id, arguments)
+    return make_vec_env(make, n_envs=n_envs, vec_env_cls=vec_env_cls)
 
 
 def _make_model(config: TrainAgentConfig, entry: dict[str, Any], venv: VecEnv) -> BaseAlgorithm:
@@ -157,24 +149,25 @@ def _make_model(config: TrainAgentConfig, entry: dict[str, Any], venv: VecEnv) -
 
 
 def _resume(model: BaseAlgorithm, header: AgentHeader, config: TrainAgentConfig) -> bool:
-    """Restores the folder's checkpoint, if there is one and it is of the same run."""
+    """Restores the folder's checkpoint, if there is one."""
     path = config.out / CHECKPOINT
     if not (config.resume and path.exists()):
         return False
     found, tensors = read_agent(path)
     names = ("algo", "env", "env_kwargs", "hyperparameters", "n_envs", "seed", "checkpoint_every")
     for name in (*names, "observation_space", "action_space"):
-        if getattr(found, name) != getattr(header, name):
+        theirs, ours = getattr(found, name), getattr(header, name)
+        if theirs != ours:
             raise InputError(
-                f"{path} is of another run: its {name} is {getattr(found, name)}, this one's is "
-                f"{getattr(header, name)}; give another folder, or --no-resume to replace it"
+                f"{path} is of another run: its {name} is {theirs}, this one's is {ours}; "
+                "pass another --out, or --no-resume to replace it"
             )
     restore_state(model, tensors, found.counters)
     return True
 
 
 def _report(model: BaseAlgorithm, config: TrainAgentConfig, steps: int, seconds: float) -> None:
-    """Prints what was saved and how to evaluate it; writes the results file if one is asked for."""
+    """Prints the results and the command to evaluate them; writes the results file if asked."""
     policy = config.out / POLICY
     print(f"Saved {policy} after {model.num_timesteps} steps.")
     tags = {"policy": os.fspath(policy), "algo": config.algo, "scene": config.scene}
@@ -185,18 +178,17 @@ def _report(model: BaseAlgorithm, config: TrainAgentConfig, steps: int, seconds:
         print(f"Mean reward of the last {n} episodes: {mean:.3f}")
         records.append({"metric": "mean_reward", "value": mean, "unit": "1", "n": n, **tags})
     if steps:
-        rate = steps / seconds
-        records.append({"metric": "steps_per_second", "value": rate, "unit": "1/s", **tags})
+        rate = {"metric": "steps_per_second", "value": steps / seconds, "unit": "1/s"}
+        records.append(rate | tags)
     print(f"Learning curves: tensorboard --logdir {config.out / LOGS}")
-    print(f"Compare it with the baselines: {_evaluation(config, policy)}")
+    print(f"Compare it with the baselines: {_evaluation_command(config, policy)}")
     if config.json is not None:
-        command = f"train-agent --algo {config.algo} --steps {model.num_timesteps}"
-        command += f" --out {config.out}"
-        write_results(config.json, records, command=command, seed=config.seed)
+        options = f"--algo {config.algo} --steps {model.num_timesteps} --out {config.out}"
+        write_results(config.json, records, command=f"train-agent {options}", seed=config.seed)
 
 
-def _evaluation(config: TrainAgentConfig, policy: Path) -> str:
-    """The command that evaluates the policy as it was trained."""
+def _evaluation_command(config: TrainAgentConfig, policy: Path) -> str:
+    """The command that evaluates the policy in its training environment."""
     command = "python -m two_view_pose evaluate-agent --policy random fixed max-baseline"
     command += f" {shlex.quote(os.fspath(policy))}"
     if config.bank is not None:

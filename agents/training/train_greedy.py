@@ -1,4 +1,4 @@
-"""``train-agent --algo greedy``: from a bank to the file of a trained agent."""
+"""``train-agent --algo greedy``: trains on a bank and writes the agent file."""
 
 from __future__ import annotations
 
@@ -17,29 +17,25 @@ from ..networks.algorithms import GREEDY, GreedyHyperparameters
 from ..networks.checkpoint import write_agent
 from ..policies.trained import channels_first
 from .config import TrainAgentConfig
-from .error_regression import chosen_slots, train_agent_networks
+from .error_regression import predicted_best_slots, train_greedy_agent
 from .validation import POLICY, make_header, split_bank
 
 
 def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
-    """Trains the networks that predict errors, and says how they do on the validation scenes.
+    """Trains an agent with the hyper-parameters ``entry`` and prints its validation results.
 
-    It takes minutes, so it is not resumed: the same command starts anew and ends the same.
-
-    Args:
-        config: see `TrainAgentConfig`.
-        entry: its hyper-parameters.
+    It takes minutes, so it does not resume: the same command starts again and ends the same.
 
     Returns:
         The file of the trained policy.
     """
     hyperparameters = GreedyHyperparameters(**entry)
-    learning, validating = split_bank(config)
+    training, validation = split_bank(config)
     env = gym.make(config.env_id, **config.environment_arguments)
     bank: ViewBank = env.unwrapped.bank  # type: ignore[attr-defined]
-    began = time.perf_counter()
-    agent = train_agent_networks(
-        bank.subset(slice(*learning["scenes"])),
+    start = time.perf_counter()
+    agent = train_greedy_agent(
+        bank.subset(slice(*training["scenes"])),
         channels_first(env),
         hyperparameters,
         config.seed,
@@ -47,22 +43,21 @@ def train_greedy(config: TrainAgentConfig, entry: dict[str, Any]) -> Path:
         None if config.visibility_bank is None else read_bank(config.visibility_bank),
         resolve_device(config.device),
     )
-    seconds = time.perf_counter() - began
+    seconds = time.perf_counter() - start
     steps = hyperparameters.epochs * hyperparameters.networks
     header = make_header(config, vars(hyperparameters), env, steps=steps)
     weights = {f"policy/{key}": value for key, value in agent.state_dict().items()}
     path = config.out / POLICY
     write_agent(path, header, weights, half=True)
-    kept = bank.subset(slice(*validating["scenes"]))
-    errors = kept.second_error[np.arange(len(kept)), chosen_slots(agent, kept)]
+    held_out = bank.subset(slice(*validation["scenes"]))
+    slots = predicted_best_slots(agent, held_out)
+    errors = held_out.second_error[np.arange(len(held_out)), slots]
     recall, capped = float(np.mean(errors < 0.1)), float(np.minimum(errors, 1.0).mean())
     print(f"Saved {path} after {seconds:.0f} s.")
-    print(
-        f"Validation, {len(kept)} scenes: ADD(-S) < 0.1 d {recall:.1%}, mean capped error "
-        f"{capped:.3f}"
-    )
+    print(f"Validation, {len(held_out)} scenes: ADD(-S) < 0.1 d {recall:.1%}, ", end="")
+    print(f"mean capped error {capped:.3f}")
     if config.json is not None:
-        tags: dict[str, Any] = {"policy": os.fspath(path), "algo": GREEDY, "n": len(kept)}
+        tags: dict[str, Any] = {"policy": os.fspath(path), "algo": GREEDY, "n": len(held_out)}
         tags["scene"] = bank.header.scene
         records = [
             {"metric": "add_s_recall", "value": recall, "unit": "1", **tags},

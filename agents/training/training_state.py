@@ -1,9 +1,8 @@
-"""All that an SB3 trainer needs to resume from where it was, as named tensors and plain counters.
+"""The state of an SB3 trainer as named tensors and plain counters, to resume training.
 
-SB3 saves a replay buffer as a pickle, which runs code when it is loaded, so its arrays are stored
-here. Random generators are not saved: training restarts every one of them from (seed, steps) at
-each checkpoint (see `restart`), whether it was killed there or not. So a run that was killed and
-resumed ends with the same weights, bit for bit on the same machine, as one that was not.
+SB3 pickles a replay buffer, which runs code when loaded, so its arrays are stored here. Random
+generators are not saved: they are reseeded from (seed, steps) at each checkpoint (`reseed`). So an
+interrupted and resumed run ends with the same weights, bit for bit on the same machine.
 """
 
 from __future__ import annotations
@@ -29,11 +28,11 @@ COUNTERS = (
     "_current_progress_remaining",
     "exploration_rate",
 )
-"""Attributes of the SB3 algorithms that change while they train; each has some of them."""
+"""Attributes of SB3 algorithms that change in training; each algorithm has some of them."""
 
 
-def restart(model: BaseAlgorithm, seed: int) -> None:
-    """Restarts every random generator and every episode as a function of (seed, steps) alone."""
+def reseed(model: BaseAlgorithm, seed: int) -> None:
+    """Seeds every random generator from (seed, steps) alone, and resets the environments."""
     state = np.random.SeedSequence([seed, model.num_timesteps]).generate_state(1)
     model.set_random_seed(int(state[0]) >> 1)
     assert model.env is not None
@@ -67,11 +66,7 @@ def state_tensors(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
 def restore_state(
     model: BaseAlgorithm, tensors: Mapping[str, torch.Tensor], values: Mapping[str, float]
 ) -> None:
-    """Puts what `state_tensors` and `counters` gave into a new model of the same arguments.
-
-    Raises:
-        InputError: if something is missing or of the wrong shape.
-    """
+    """Restores a new model from `state_tensors` and `counters`; raises InputError if incomplete."""
     missing = sorted(set(counters(model)) - set(values))
     if missing:
         raise InputError(f"checkpoint's counters lack {', '.join(missing)}")
@@ -89,7 +84,7 @@ def restore_state(
     model.set_parameters(states)
     for name in states.keys() - {"policy"}:
         for parameter, entries in attrgetter(name)(model).state.items():
-            shape = getattr(parameter, "shape", None)  # an unknown parameter stays a number
+            shape = getattr(parameter, "shape", None)  # an unknown parameter is its index
             if any(tensor.ndim and tensor.shape != shape for tensor in entries.values()):
                 raise InputError(f"checkpoint's {name} has an entry of the wrong shape")
     for name, variable in variables.items():
@@ -102,9 +97,9 @@ def restore_state(
 
 
 def _variables(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
-    """What is learned beside the networks: the temperature of SAC, where it is learned."""
-    temperature = getattr(model, "log_ent_coef", None)
-    return {} if temperature is None else {"variable/log_ent_coef": temperature}
+    """Learned parameters in addition to the networks: SAC's entropy coefficient."""
+    log_ent_coef = getattr(model, "log_ent_coef", None)
+    return {} if log_ent_coef is None else {"variable/log_ent_coef": log_ent_coef}
 
 
 def _replay_arrays(buffer: DictReplayBuffer, count: int) -> dict[str, np.ndarray]:
@@ -118,10 +113,8 @@ def _replay_arrays(buffer: DictReplayBuffer, count: int) -> dict[str, np.ndarray
 def _restore_replay(buffer: DictReplayBuffer, tensors: dict[str, torch.Tensor]) -> None:
     position, count = int(tensors.pop("position", -1)), len(tensors.get("rewards", ()))
     if not 0 <= position < buffer.buffer_size or count not in (position, buffer.buffer_size):
-        raise InputError(
-            f"checkpoint's replay buffer has {count} entries at position {position}, "
-            f"which a buffer of {buffer.buffer_size} cannot have"
-        )
+        size = buffer.buffer_size
+        raise InputError(f"replay buffer of {size} has {count} entries at position {position}")
     arrays = _replay_arrays(buffer, count)
     expected = {name: torch.from_numpy(array) for name, array in arrays.items()}
     check_tensors(tensors, expected, "checkpoint's replay buffer")

@@ -1,4 +1,4 @@
-"""Training over a bank: which scenes are learned from, and keeping the best policy."""
+"""Training over a bank: splits off validation scenes and keeps the best policy."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from .config import TrainAgentConfig
 
 POLICY = "policy.safetensors"
 
-WORST = -1e9
-"""Less than any mean reward."""
+MIN_REWARD = -1e9
+"""Lower than any mean reward."""
 
 
 def record_missing(config: TrainAgentConfig) -> None:
@@ -34,18 +34,14 @@ def record_missing(config: TrainAgentConfig) -> None:
         (config.visibility_bank, 2500, 303, False),
     ):
         if path is not None and not path.exists():
-            record_bank(
-                RecordBankConfig(
-                    out=path, scenes=scenes, seed=seed, estimates=estimates, device=config.device
-                )
-            )
+            settings: dict[str, Any] = {"scenes": scenes, "seed": seed, "estimates": estimates}
+            record_bank(RecordBankConfig(out=path, device=config.device, **settings))
 
 
 def split_bank(config: TrainAgentConfig) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Arguments of the replay environment for learning and for validation.
+    """Arguments of the replay environment for training and for validation.
 
-    Raises:
-        InputError: if there is no such bank, or it has too few scenes.
+    Raises InputError if there is no such bank, or it has too few scenes.
     """
     from ...envs.replay import load_bank_cached
 
@@ -53,21 +49,29 @@ def split_bank(config: TrainAgentConfig) -> tuple[dict[str, Any], dict[str, Any]
     scenes = len(load_bank_cached(str(config.bank)))
     if scenes <= config.validation:
         raise InputError(
-            f"{config.bank} has {scenes} scenes: too few to keep {config.validation} for "
-            "validation; record more, or pass a smaller --validation"
+            f"validation must be < {scenes}, the scenes of {config.bank}, got {config.validation}"
         )
-    kept = scenes - config.validation
-    return {"scenes": (0, kept), "mirror": True}, {"scenes": (kept, scenes), "shuffle": False}
+    split = scenes - config.validation
+    return {"scenes": (0, split), "mirror": True}, {"scenes": (split, scenes), "shuffle": False}
 
 
-class _Validation(EvalCallback):
-    """SB3's, which writes the best policy, and knows what an earlier part of the run reached."""
+class ValidationCallback(EvalCallback):
+    """Validates the policy and writes the best one, whose reward is stored in the model."""
 
-    model: Any  # with `best_mean_reward`, which checkpoints hold
+    model: Any
 
-    def __init__(self, venv: VecEnv, header: AgentHeader, out: Path, **settings: Any) -> None:
-        super().__init__(venv, **settings)
-        self._header, self._out = header, out
+    def __init__(
+        self, header: AgentHeader, config: TrainAgentConfig, arguments: dict[str, Any], n_envs: int
+    ) -> None:
+        make = functools.partial(make_env, config.env_id, arguments)
+        venv = make_vec_env(make, n_envs=1, seed=config.seed, vec_env_cls=DummyVecEnv)
+        super().__init__(
+            VecTransposeImage(venv),
+            n_eval_episodes=config.validation,
+            eval_freq=max(1, config.evaluate_every // n_envs),
+            verbose=0,
+        )
+        self._header, self._out = header, config.out
 
     def _init_callback(self) -> None:
         super()._init_callback()
@@ -81,24 +85,8 @@ class _Validation(EvalCallback):
         return result
 
 
-def make_validation(
-    header: AgentHeader, config: TrainAgentConfig, arguments: dict[str, Any], n_envs: int
-) -> EvalCallback:
-    """Measures the policy on the validation scenes, and keeps the best one."""
-    make = functools.partial(make_env, config.env_id, arguments)
-    return _Validation(
-        VecTransposeImage(make_vec_env(make, n_envs=1, seed=config.seed, vec_env_cls=DummyVecEnv)),
-        header,
-        config.out,
-        n_eval_episodes=config.validation,
-        eval_freq=max(1, config.evaluate_every // n_envs),
-        deterministic=True,
-        verbose=0,
-    )
-
-
 def save_policy(model: BaseAlgorithm, header: AgentHeader, out: Path) -> None:
-    """Writes the policy as it is now into ``out``."""
+    """Writes the current policy into ``out``."""
     weights = {f"policy/{key}": value for key, value in model.policy.state_dict().items()}
     write_agent(out / POLICY, replace(header, steps=model.num_timesteps), weights, half=True)
 
@@ -110,18 +98,12 @@ def make_header(
     n_envs: int = 1,
     steps: int = 0,
 ) -> AgentHeader:
-    """What identifies the run, as plain data.
-
-    Raises:
-        InputError: if the environment's arguments are not plain data.
-    """
+    """Makes the header of an agent file; raises InputError if ``env_kwargs`` is not plain data."""
+    arguments = config.environment_arguments
     try:
-        env_kwargs = json.loads(json.dumps(config.environment_arguments))
+        env_kwargs = json.loads(json.dumps(arguments))
     except TypeError as error:
-        raise InputError(
-            f"the environment's arguments must be plain data to be saved with the agent, "
-            f"got {config.environment_arguments}: {error}"
-        ) from error
+        raise InputError(f"env_kwargs must be plain data, got {arguments}: {error}") from error
     return AgentHeader(
         algo=config.algo,
         env=config.env_id,
@@ -137,5 +119,5 @@ def make_header(
 
 
 def make_env(env_id: str, arguments: dict[str, Any]) -> gym.Env:
-    """Makes the environment in whichever process this runs; unpickling it registers the ids."""
+    """Makes the environment; unpickling this function in a worker process registers our ids."""
     return gym.make(env_id, **arguments)

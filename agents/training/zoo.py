@@ -1,12 +1,11 @@
-"""Our hyper-parameters of PPO as rl-zoo3 reads them from a module: ``--conf-file``.
+"""The hyper-parameters of PPO as a Python module for rl-zoo3's ``--conf-file``.
 
-rl-zoo3 trains by environment id. One command, with recorded views::
+rl-zoo3 trains by environment id, for example with recorded views::
 
     python -m rl_zoo3.train --algo ppo --env TwoViewPoseReplay-v0 --gym-packages two_view_pose \\
       --conf-file two_view_pose.agents.training.zoo --env-kwargs bank:'"bank.npz"'
 
-What ``hyperparameters.yml`` says in plain data, such as the extractor's name, is turned into what
-SB3 takes.
+Class names in ``hyperparameters.yml`` are converted to classes.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Small environments of the same kinds of spaces as the real ones, without images of a scene.
+"""Toy environments with the spaces of the real ones, without rendering.
 
-``ToyView-v0``: the image is dark or bright and ``camera`` holds two numbers; the action's first
-two numbers should be those. ``ToySphere-v0``: the real environment's view sphere and info around
-a made-up error that falls with the angle between the views.
+``ToyView-v0``: the reward is highest if the action's first two numbers equal ``camera``, whose
+second number is also the image's brightness. ``ToySphere-v0``: the real view sphere and info, with
+a synthetic error that decreases with the angle between the views.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SIZE = 36
 
 
 class ToyViewEnv(gym.Env):
-    """Look where the observation says."""
+    """The optimal action is in the observation."""
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
@@ -46,13 +46,13 @@ class ToyViewEnv(gym.Env):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         super().reset(seed=seed)
-        self._wanted = self.np_random.uniform(-1.0, 1.0, 2)
+        self._target = self.np_random.uniform(-1.0, 1.0, 2)
         one_hot = np.zeros(3, np.float32)
         one_hot[self.np_random.integers(3)] = 1.0
         observation = {
-            "camera": self._wanted.astype(np.float32),
+            "camera": self._target.astype(np.float32),
             "object": one_hot,
-            "image": np.full((SIZE, SIZE, 3), 128 + 100 * self._wanted[1], np.uint8),
+            "image": np.full((SIZE, SIZE, 3), 128 + 100 * self._target[1], np.uint8),
         }
         return observation, {}
 
@@ -60,13 +60,13 @@ class ToyViewEnv(gym.Env):
         return np.asarray(action, dtype=np.float64)[:2]
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        reward = -self.gain * float(np.abs(self._direction(action) - self._wanted).mean())
+        reward = -self.gain * float(np.abs(self._direction(action) - self._target).mean())
         observation, _ = self.reset()
         return observation, reward, True, False, {}
 
 
 class ToyViewDiscreteEnv(ToyViewEnv):
-    """The same with four directions."""
+    """ToyView with four actions."""
 
     def __init__(self, scene: str = "linemod", estimator: object = None, gain: float = 1.0) -> None:
         super().__init__(scene, estimator, gain)
@@ -77,7 +77,7 @@ class ToyViewDiscreteEnv(ToyViewEnv):
 
 
 class ToySphereEnv(ToyViewEnv):
-    """Choose a view around an object at a known place."""
+    """Choose a view around an object at a known position."""
 
     camera_pose = TwoViewPoseEnv.camera_pose
 
@@ -126,7 +126,7 @@ class ToySphereEnv(ToyViewEnv):
 
 
 class ToySphereDiscreteEnv(ToySphereEnv):
-    """The same with the real environment's candidate views."""
+    """ToySphere with the real environment's candidate views."""
 
     camera_pose = TwoViewPoseDiscreteEnv.camera_pose
 

@@ -1,4 +1,4 @@
-"""Evaluation is paired and reproducible, and its results file is what design says."""
+"""Evaluation is paired and reproducible, and its results file has all records."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def evaluation(**fields: object) -> EvaluateAgentConfig:
     return EvaluateAgentConfig(**{**defaults, **fields})
 
 
-def test_every_policy_sees_the_same_scenes_whatever_its_company() -> None:
+def test_policies_run_on_the_same_scenes_independently() -> None:
     env = gym.make(SPHERE)
     together = run_episodes(
         env, {name: make_policy(name, env) for name in RULES}, seeded_scenes(20, 4)
@@ -86,7 +86,7 @@ def test_results_file_and_table(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert evaluate_agents(config) == records
 
 
-def test_a_trained_file_beside_the_baselines(
+def test_trained_policy_with_baselines(
     config: Callable[..., TrainAgentConfig], capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = train_agent(config(env=SPHERE, steps=32))
@@ -95,7 +95,7 @@ def test_a_trained_file_beside_the_baselines(
     assert Path(path).name in capsys.readouterr().out.replace("\n", "")
 
 
-def test_the_environment_of_a_file_is_not_imported(
+def test_env_id_of_a_file_is_not_imported(
     config: Callable[..., TrainAgentConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = train_agent(config(env=SPHERE, steps=32))
@@ -103,20 +103,20 @@ def test_the_environment_of_a_file_is_not_imported(
     (tmp_path / "trap.py").write_text(f"open({str(tmp_path / 'crater')!r}, 'w').close()")
     monkeypatch.syspath_prepend(tmp_path)
     write_agent(path, replace(header, env="trap:Trap-v0"), tensors)
-    with pytest.raises(ValueError, match="trained on 'trap:Trap-v0': name the environment"):
+    with pytest.raises(ValueError, match="trained on 'trap:Trap-v0': pass --env"):
         evaluate_agents(evaluation(env=None, policy=(str(path),)))
     assert not (tmp_path / "crater").exists()
     write_agent(path, replace(header, env_kwargs={"objects": ["cat", "duck"]}), tensors)
-    with pytest.raises(ValueError, match="trained on cat duck, not on all 13: pass --objects cat"):
+    with pytest.raises(ValueError, match="trained on cat duck, not on all 13: pass the same"):
         evaluate_agents(evaluation(policy=(str(path),)))
 
 
-def test_wrong_arguments() -> None:
+def test_invalid_arguments() -> None:
     for fields, message in (
-        ({"policy": ()}, "at least one policy"),
-        ({"policy": ("random", "random")}, "each policy once"),
-        ({"episodes": 0}, "episodes must be at least 1, got 0"),
-        ({"seed": -1}, "seed must be at least 0, got -1"),
+        ({"policy": ()}, "policy must be one or more distinct names"),
+        ({"policy": ("random", "random")}, "policy must be one or more distinct names"),
+        ({"episodes": 0}, "episodes must be >= 1, got 0"),
+        ({"seed": -1}, "seed must be >= 0, got -1"),
     ):
         with pytest.raises(ValueError, match=message):
             evaluation(**fields)
@@ -126,7 +126,7 @@ def test_wrong_arguments() -> None:
         evaluate_agents(evaluation(env_kwargs={"gain": 0.0}))
 
 
-def test_a_results_file_refuses_what_a_reader_could_misread(tmp_path: Path) -> None:
+def test_invalid_records_are_rejected(tmp_path: Path) -> None:
     good = {"metric": "ratio", "value": np.float32(0.5), "unit": "1", "n": np.int64(3)}
     assert (
         json.dumps(check_record(good)) == '{"metric": "ratio", "value": 0.5, "unit": "1", "n": 3}'

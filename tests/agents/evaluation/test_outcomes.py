@@ -1,4 +1,4 @@
-"""Figures of an evaluation, checked by hand, and paired comparisons."""
+"""Statistics of an evaluation, checked by hand, and paired comparisons."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from two_view_pose.agents.evaluation.outcomes import (
     Outcome,
+    display_name,
     gap_closed,
     make_records,
     print_table,
-    short,
 )
 
 
@@ -23,7 +23,7 @@ def find(records: list[dict], **tags: object) -> dict:
     return record
 
 
-def test_the_share_of_the_gap() -> None:
+def test_gap_closed() -> None:
     rule, oracle = np.array([0.4, 0.6, 0.5]), np.array([0.1, 0.1, 0.1])
     for share in (0.0, 0.5, 1.0, -0.3):
         policy = rule + share * (oracle - rule)
@@ -34,7 +34,7 @@ def test_the_share_of_the_gap() -> None:
     assert low < value < high and value == pytest.approx(0.25)
 
 
-def test_differences_are_paired() -> None:
+def test_paired_difference_intervals() -> None:
     rng = np.random.default_rng(0)
     hard = rng.uniform(0.0, 0.9, 200)  # scenes differ far more than the policies do
     records = make_records(
@@ -60,7 +60,7 @@ def test_differences_are_paired() -> None:
     assert find(records, policy="max-baseline", metric="gap_closed")["value"] == 0.0
 
 
-def test_scenes_played_twice_are_not_more_scenes() -> None:
+def test_repeated_scenes_do_not_narrow_intervals() -> None:
     rows = [Outcome("cat", e, 0.3, 0.5, scene=i) for i, e in enumerate((0.05, 0.2, 0.6, 0.08))]
     once = make_records({"random": rows}, "heap")
     twice = make_records({"random": rows + rows}, "heap")
@@ -70,7 +70,7 @@ def test_scenes_played_twice_are_not_more_scenes() -> None:
     assert find(twice, metric="add_s_recall", object="mean", visibility=None)["n"] == 4
 
 
-def test_bins_of_visibility() -> None:
+def test_visibility_bins() -> None:
     rows = outcomes([0.05, 0.2], 0.3) + outcomes([0.05, 0.05, 0.3], 1.0)
     records = make_records({"stay": rows}, "heap")
     low = find(records, metric="add_s_recall", visibility=0.0)
@@ -85,7 +85,7 @@ def test_bins_of_visibility() -> None:
     ("successes", "n", "low", "high"),
     [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611)],
 )
-def test_the_interval_of_a_recall(successes: int, n: int, low: float, high: float) -> None:
+def test_wilson_interval_of_recall(successes: int, n: int, low: float, high: float) -> None:
     """Newcombe, "Two-sided confidence intervals for the single proportion", 1998, table I."""
     rows = outcomes([0.05] * successes + [0.5] * (n - successes))
     found = find(
@@ -95,7 +95,7 @@ def test_the_interval_of_a_recall(successes: int, n: int, low: float, high: floa
     assert found["value"] == successes / n
 
 
-def test_large_errors_are_capped() -> None:
+def test_capped_error() -> None:
     records = make_records({"stay": outcomes([0.0, 7.0])}, "heap")
     capped = find(records, metric="capped_add_over_diameter", object="mean", visibility=None)
     assert capped["value"] == 0.5
@@ -103,13 +103,13 @@ def test_large_errors_are_capped() -> None:
     assert plain["value"] == 3.5
 
 
-def test_files_are_called_by_their_folders() -> None:
-    assert short("runs/ppo-1/policy.safetensors") == "ppo-1"
-    assert short("max-baseline") == "max-baseline"
+def test_display_name_of_a_file_is_its_folder() -> None:
+    assert display_name("runs/ppo-1/policy.safetensors") == "ppo-1"
+    assert display_name("max-baseline") == "max-baseline"
 
 
 @pytest.mark.parametrize("names", [("max-baseline", "oracle"), ("random", "runs/ppo/policy")])
-def test_a_policy_is_a_line_of_80_columns(
+def test_table_fits_80_columns(
     names: tuple[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")

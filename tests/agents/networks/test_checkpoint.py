@@ -1,4 +1,4 @@
-"""Files of trained agents: what goes in comes out, and nothing in them is executed."""
+"""Agent files: round trip, corrupted files, and no code execution."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def agent(config: Make) -> Path:
 
 
 @pytest.mark.parametrize("algo", ["ppo", "sac", "dqn"])
-def test_the_loaded_policy_acts_like_the_trained_one(
+def test_loaded_policy_equals_trained_policy(
     algo: str, config: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     models = []
@@ -56,7 +56,7 @@ def test_the_loaded_policy_acts_like_the_trained_one(
         assert np.allclose(half, expected, atol=2e-3)
 
 
-def test_tensors_with_two_names_are_stored_once(agent: Path) -> None:
+def test_shared_tensors_are_stored_once(agent: Path) -> None:
     header, tensors = read_agent(agent)
     extractors = ("features_extractor", "pi_features_extractor", "vf_features_extractor")
     sizes = [len(subset(tensors, f"policy/{name}.")) for name in extractors]
@@ -68,11 +68,11 @@ def test_tensors_with_two_names_are_stored_once(agent: Path) -> None:
     for wrong in ({"a": "nowhere"}, {"a": 3}, ["a"]):
         content = {**asdict(header), "aliases": wrong}
         save_file(tensors, agent, {"header": json.dumps(content)})
-        with pytest.raises(ValueError, match=r"damaged header|not a whole safetensors file"):
+        with pytest.raises(ValueError, match=r"corrupted header|not a complete safetensors file"):
             read_agent(agent)
 
 
-def test_finished_policies_are_in_half_precision(agent: Path) -> None:
+def test_policy_file_is_half_precision(agent: Path) -> None:
     _, tensors = read_agent(agent)
     weights = [t for t in tensors.values() if t.is_floating_point()]
     assert weights and all(t.dtype == torch.float16 for t in weights)
@@ -92,7 +92,7 @@ class Bomb:
         return eval, (f"open({str(self.target)!r}, 'w').close()",)
 
 
-def test_nothing_in_a_file_is_executed(tmp_path: Path, agent: Path, config: Make) -> None:
+def test_loading_executes_no_code(tmp_path: Path, agent: Path, config: Make) -> None:
     crater = tmp_path / "crater"
     env = gym.make("helpers.toy_env:ToyView-v0")
     bombs = {"a.pkl": pickle.dumps(Bomb(crater)), "old.pkl": pickle.dumps(Bomb(crater), protocol=0)}
@@ -101,12 +101,12 @@ def test_nothing_in_a_file_is_executed(tmp_path: Path, agent: Path, config: Make
     torch.save(Bomb(crater), tmp_path / "torch.safetensors")
     sb3.PPO("MultiInputPolicy", env, n_steps=8, batch_size=8).save(tmp_path / "sb3.zip")
     for name in (*bombs, "torch.safetensors", "sb3.zip"):
-        with pytest.raises(ValueError, match=r"(not loaded|not a whole safetensors file)"):
+        with pytest.raises(ValueError, match=r"(not loaded|not a complete safetensors file)"):
             make_policy(tmp_path / name, env)
         folder = tmp_path / f"resume-{name}"
         folder.mkdir()
         (folder / CHECKPOINT).write_bytes((tmp_path / name).read_bytes())
-        with pytest.raises(ValueError, match=r"(not loaded|not a whole safetensors file)"):
+        with pytest.raises(ValueError, match=r"(not loaded|not a complete safetensors file)"):
             train_agent(config(out=folder.name, steps=64))
     header, tensors = read_agent(agent)
     for kwargs in (
@@ -123,55 +123,55 @@ def test_nothing_in_a_file_is_executed(tmp_path: Path, agent: Path, config: Make
     assert not crater.exists()
 
 
-def test_damaged_files_are_refused(tmp_path: Path, agent: Path) -> None:
+def test_corrupted_files_are_rejected(tmp_path: Path, agent: Path) -> None:
     env = gym.make("helpers.toy_env:ToyView-v0")
     content = agent.read_bytes()
     header, tensors = read_agent(agent)
     bad = tmp_path / "bad.safetensors"
 
-    def refused(match: str) -> None:
+    def rejected(match: str) -> None:
         with pytest.raises(ValueError, match=match):
             make_policy(bad, env)
 
-    for damaged in (b"", b"\0" * 100, content[:-100], content[:50], b"\xff" * 8 + content[8:]):
-        bad.write_bytes(damaged)
-        refused("not a whole safetensors file")
+    for corrupted in (b"", b"\0" * 100, content[:-100], content[:50], b"\xff" * 8 + content[8:]):
+        bad.write_bytes(corrupted)
+        rejected("not a complete safetensors file")
     save_file(tensors, bad)
-    refused("has no header")
+    rejected("has no header")
     save_file(tensors, bad, {"header": "{"})
-    refused("not JSON")
+    rejected("corrupted header")
     save_file(tensors, bad, {"header": json.dumps({"format": "another 7"})})
-    refused("must have the format")
+    rejected("must have the format")
     save_file(tensors, bad, {"header": json.dumps({"format": header.format, "algo": "ppo"})})
-    refused("damaged header: .* missing")
+    rejected("corrupted header: .* missing")
     write_agent(bad, replace(header, algo="a2c"), tensors)
-    refused("algo must be one of ppo, sac, dqn, greedy, got 'a2c'")
+    rejected("algo must be one of ppo, sac, dqn, greedy, got 'a2c'")
     write_agent(bad, replace(header, hyperparameters={"color": 1}), tensors)
-    refused("unknown hyper-parameters of ppo: color")
+    rejected("unknown hyper-parameters of ppo: color")
     name = next(iter(tensors))
     write_agent(bad, header, {key: value for key, value in tensors.items() if key != name})
-    refused("does not fit: missing")
+    rejected("does not fit: missing")
     write_agent(bad, header, {**tensors, name: torch.zeros(1)})
-    refused("must be of shape")
+    rejected("must be of shape")
     write_agent(bad, header, {**tensors, name: torch.full_like(tensors[name], torch.nan)})
-    refused("NaN")
+    rejected("NaN")
 
 
-def test_another_environment_is_refused(agent: Path) -> None:
+def test_other_spaces_are_rejected(agent: Path) -> None:
     with pytest.raises(
         ValueError, match=r"trained on helpers.toy_env:ToyView-v0 with the action space"
     ):
         make_policy(agent, gym.make("helpers.toy_env:ToyViewDiscrete-v0"))
 
 
-def test_a_damaged_checkpoint_does_not_start_training(config: Make) -> None:
+def test_corrupted_checkpoint_is_rejected(config: Make) -> None:
     run = config("dqn", steps=32)
     train_agent(run)
     path = run.out / CHECKPOINT
     header, tensors = read_agent(path)
     longer = replace(run, steps=64)
     for key, value, message in (
-        ("replay/position", torch.tensor(-3), "replay buffer has 32 entries at position -3"),
+        ("replay/position", torch.tensor(-3), "replay buffer of 40 has 32 entries at position -3"),
         (
             "replay/rewards",
             torch.zeros(32, 9),
@@ -187,7 +187,7 @@ def test_a_damaged_checkpoint_does_not_start_training(config: Make) -> None:
         train_agent(longer)
 
 
-def test_a_failed_write_leaves_the_old_file(agent: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_write_keeps_the_old_file(agent: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     content = agent.read_bytes()
     header, tensors = read_agent(agent)
 

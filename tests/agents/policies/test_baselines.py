@@ -1,4 +1,4 @@
-"""Baselines give valid actions, and the ones they say they give."""
+"""Baseline policies, compared with the geometry of their views."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_actions_are_valid(env_id: str, name: str) -> None:
         env.step(action)
 
 
-def test_random_is_uniform_and_follows_its_generator() -> None:
+def test_random_is_uniform_and_seeded() -> None:
     for env_id, expected in zip(ENVS, (0.0, 11.5), strict=True):
         env = gym.make(env_id)
         policy = make_policy("random", env)
@@ -40,7 +40,7 @@ def test_random_is_uniform_and_follows_its_generator() -> None:
         assert np.all(half > 0.99) if env_id == ENVS[0] else set(first) == set(range(24))
 
 
-def test_fixed_goes_30_degrees_to_the_side() -> None:
+def test_fixed_has_30_degrees_azimuth_offset() -> None:
     env = gym.make("helpers.toy_env:ToySphere-v0")
     policy = make_policy("fixed", env)
     for seed in range(30):
@@ -48,8 +48,8 @@ def test_fixed_goes_30_degrees_to_the_side() -> None:
         sphere = env.unwrapped
         place = sphere.reference_position
         x, y, z = camera_center(sphere.camera_pose(policy.act(observation))) - sphere.sphere_center
-        turned = np.angle(np.exp(1j * (np.arctan2(y, x) - place.azimuth)))
-        assert np.rad2deg(turned) == pytest.approx(30.0, abs=1e-3)
+        azimuth = np.angle(np.exp(1j * (np.arctan2(y, x) - place.azimuth)))
+        assert np.rad2deg(azimuth) == pytest.approx(30.0, abs=1e-3)
         assert np.hypot(x, y) == pytest.approx(place.distance * np.cos(place.elevation), abs=1e-5)
         assert z == pytest.approx(place.distance * np.sin(place.elevation), abs=1e-5)
 
@@ -59,17 +59,17 @@ def test_fixed_takes_the_nearest_candidate() -> None:
     for seed in range(30):
         observation, _ = box.reset(seed=seed)
         discrete.reset(seed=seed)
-        wanted = camera_center(
+        target = camera_center(
             box.unwrapped.camera_pose(make_policy("fixed", box).act(observation))
         )
         places = np.array([camera_center(discrete.unwrapped.camera_pose(i)) for i in range(24)])
         # All on one sphere: the nearest in distance is the nearest in angle.
-        distances = np.linalg.norm(places - wanted, axis=1)
+        distances = np.linalg.norm(places - target, axis=1)
         chosen = make_policy("fixed", discrete).act(observation)
         assert distances[chosen] < distances.min() + 1e-6
 
 
-def test_above_looks_down_from_70_degrees() -> None:
+def test_above_has_70_degrees_elevation() -> None:
     for env_id in ENVS:
         env = gym.make(env_id)
         policy = make_policy("above", env)
@@ -82,13 +82,13 @@ def test_above_looks_down_from_70_degrees() -> None:
             assert elevation == pytest.approx(70.0, abs=1e-3)
 
 
-def test_stay_takes_no_view() -> None:
+def test_stay_takes_no_second_view() -> None:
     env = gym.make(ENVS[0])
     assert make_policy("stay", env).act(env.reset(seed=0)[0]) is None
 
 
 @pytest.mark.parametrize("env_id", ENVS)
-def test_no_view_is_farther_than_max_baseline(env_id: str) -> None:
+def test_max_baseline_is_the_farthest_view(env_id: str) -> None:
     env = gym.make(env_id)
     policy = make_policy("max-baseline", env)
     grid = np.linspace(-1.0, 1.0, 21)
@@ -104,7 +104,7 @@ def test_no_view_is_farther_than_max_baseline(env_id: str) -> None:
         assert chosen >= farthest - 1e-6
 
 
-def test_unknown_policy_and_unfit_environment() -> None:
+def test_unknown_policy_and_unsupported_environment() -> None:
     env = gym.make("helpers.toy_env:ToySphere-v0")
     with pytest.raises(
         ValueError, match=r"policy must be one of stay, random, fixed, above, .* or a file"
@@ -112,5 +112,5 @@ def test_unknown_policy_and_unfit_environment() -> None:
         make_policy("nothing", env)
     with pytest.raises(ValueError, match="needs an environment with a view sphere"):
         make_policy("fixed", gym.make("helpers.toy_env:ToyView-v0"))
-    with pytest.raises(ValueError, match="a Box or a Discrete space"):
+    with pytest.raises(ValueError, match="action space must be Box or Discrete"):
         make_policy("random", gym.wrappers.TransformAction(env, lambda a: a, gym.spaces.Text(3)))

@@ -1,4 +1,4 @@
-"""The networks that predict errors: they look where a view would be blocked, and learn from it."""
+"""The greedy agent: error prediction, line-of-sight sampling and success classification."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from two_view_pose.agents.policies.trained import channels_first
 from two_view_pose.agents.training.config import TrainAgentConfig
 from two_view_pose.agents.training.error_regression import (
     ErrorDataset,
-    chosen_slots,
-    train_agent_networks,
+    predicted_best_slots,
+    train_greedy_agent,
 )
 from two_view_pose.agents.training.train_agent import POLICY, train_agent
 from two_view_pose.core.geometry import project, transform
@@ -49,7 +49,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ViewBank]:
     return train_agent(config), bank
 
 
-def test_it_learns_which_side_is_blocked(trained: tuple[Path, ViewBank], make_bank: Make) -> None:
+def test_greedy_learns_the_occluded_side(trained: tuple[Path, ViewBank], make_bank: Make) -> None:
     path, _ = trained
     env = gym.make(REPLAY, bank=make_bank(40, seed=9))
     policies = {name: make_policy(name, env) for name in ("random", "oracle", str(path))}
@@ -60,23 +60,23 @@ def test_it_learns_which_side_is_blocked(trained: tuple[Path, ViewBank], make_ba
     assert recall[str(path)] > 0.85
 
 
-def test_one_seed_gives_one_set_of_weights(make_bank: Make) -> None:
+def test_training_is_reproducible(make_bank: Make) -> None:
     bank = make_bank(12)
     space = channels_first(gym.make(REPLAY, bank=bank))
     short = replace(QUICK, epochs=2)
     first, again, other = (
-        train_agent_networks(bank, space, short, seed, False).state_dict() for seed in (3, 3, 4)
+        train_greedy_agent(bank, space, short, seed, False).state_dict() for seed in (3, 3, 4)
     )
     for key, value in first.items():
         assert torch.equal(value, again[key]), key
     assert any(not torch.equal(value, other[key]) for key, value in first.items())
 
 
-def test_lines_of_sight_are_where_they_are_seen(make_bank: Make) -> None:
+def test_line_of_sight_matches_projection(make_bank: Make) -> None:
     bank = make_bank(6)
     space = channels_first(gym.make(REPLAY, bank=bank))
-    agent = train_agent_networks(bank, space, replace(QUICK, epochs=1), 0, False)
-    observations, views = ErrorDataset.of(bank).batch(torch.arange(6))
+    agent = train_greedy_agent(bank, space, replace(QUICK, epochs=1), 0, False)
+    observations, views = ErrorDataset.from_bank(bank).batch(torch.arange(6))
     places = agent.networks[0].line_of_sight(observations, views).numpy()
     widths = crop_widths(bank.header.diameters)
     for scene in range(6):
@@ -91,21 +91,21 @@ def test_lines_of_sight_are_where_they_are_seen(make_bank: Make) -> None:
             np.testing.assert_allclose(places[scene, slot], expected, atol=0.03)
 
 
-def test_a_mirrored_scene_has_the_same_targets(make_bank: Make) -> None:
+def test_mirrored_dataset(make_bank: Make) -> None:
     bank = make_bank(5)
-    plain, mirrored = ErrorDataset.of(bank), ErrorDataset.of(bank, mirrored=True)
+    plain, mirrored = ErrorDataset.from_bank(bank), ErrorDataset.from_bank(bank, mirrored=True)
     assert torch.equal(mirrored.observations["image"], plain.observations["image"].flip(3))
     signs = torch.tensor([1, -1, 1, 1, 1, -1, 1, 1, -1, 1, 1], dtype=torch.float32)
     torch.testing.assert_close(mirrored.views, plain.views * signs, atol=1e-5, rtol=0)
     assert torch.equal(mirrored.errors, plain.errors)
 
 
-def test_the_policy_takes_what_its_networks_predict(trained: tuple[Path, ViewBank]) -> None:
+def test_policy_takes_the_smallest_predicted_error(trained: tuple[Path, ViewBank]) -> None:
     path, bank = trained
     env = gym.make(REPLAY, bank=bank, travel_weight=0.0)
     policy = make_policy(path, env)
     assert isinstance(policy, GreedyPolicy)
-    slots = chosen_slots(policy._agent, bank)
+    slots = predicted_best_slots(policy.agent, bank)
     for scene in range(8):
         observation, _ = env.reset(options={"scene": scene})
         policy.reset(np.random.default_rng(0))
@@ -117,26 +117,24 @@ def test_the_policy_takes_what_its_networks_predict(trained: tuple[Path, ViewBan
     np.testing.assert_allclose(info["T_cam_world"], bank.second_T_cam_world[2, slots[2]])
 
 
-def test_the_classifier_knows_right_from_wrong(trained: tuple[Path, ViewBank]) -> None:
+def test_success_classifier_separates_correct_poses(trained: tuple[Path, ViewBank]) -> None:
     path, bank = trained
     policy = make_policy(path, gym.make(REPLAY, bank=bank))
     first = {key: array[3] for key, array in bank.first.items()}
     confidence = []
     for slot in range(24):
         now = first | {key: array[3, slot] for key, array in bank.second.items()}
-        confidence.append(policy._agent.confidence(first, now))
+        confidence.append(policy.agent.confidence(first, now))
     right = bank.second_error[3] < 0.1
     found = np.array(confidence)
     assert min(found[right]) > 0.8 and max(found[~right]) < 0.2
 
 
-def test_a_file_that_does_not_fit_is_refused(
-    trained: tuple[Path, ViewBank], tmp_path: Path
-) -> None:
-    whole, bank = trained
+def test_incompatible_file_is_rejected(trained: tuple[Path, ViewBank], tmp_path: Path) -> None:
+    source, bank = trained
     env = gym.make(REPLAY, bank=bank)
-    header, tensors = read_agent(whole)
-    assert header.algo == "greedy" and whole.name == POLICY
+    header, tensors = read_agent(source)
+    assert header.algo == "greedy" and source.name == POLICY
     path = tmp_path / POLICY
     write_agent(path, header, {k: v for k, v in tensors.items() if "judge" not in k})
     with pytest.raises(ValueError, match="does not fit: missing"):
@@ -145,5 +143,5 @@ def test_a_file_that_does_not_fit_is_refused(
     write_agent(path, replace(header, observation_space=space), tensors)
     with pytest.raises(ValueError, match="with the observation space"):
         make_policy(path, env)
-    with pytest.raises(ValueError, match="greedy learns from a bank"):
+    with pytest.raises(ValueError, match="greedy needs --bank"):
         TrainAgentConfig(algo="greedy")

@@ -1,4 +1,4 @@
-"""The agents that ship act in the environments that they are for."""
+"""Shipped agents act in their environments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RENDERED = {"estimator": None, "scene": "linemod", "resolution": (120, 160)}
         ("ppo", "TwoViewPoseDiscrete-v0"),
     ],
 )
-def test_they_act(name: str, env_id: str) -> None:
+def test_shipped_agents_act_deterministically(name: str, env_id: str) -> None:
     env = gym.make(f"two_view_pose:{env_id}", **RENDERED)
     policy = make_policy(name, env)
     observation, _ = env.reset(seed=0)

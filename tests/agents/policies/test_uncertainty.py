@@ -1,4 +1,4 @@
-"""The Fisher-information rule, checked against what geometry says."""
+"""The Fisher-information policy, compared with closed forms."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def second(azimuth: float, distance: float = 1.0) -> np.ndarray:
     return view_sphere_pose(CENTER, distance, azimuth, 0.5) @ invert(REFERENCE)
 
 
-def test_a_view_from_the_side_measures_depth() -> None:
+def test_side_view_reduces_depth_variance() -> None:
     keypoints = np.array([[0.0, 0.0, 1.0]] * 9)
     deep = np.tile(np.diag([1e-6, 1e-6, 1e-2]), (9, 1, 1))
     before = np.trace(deep, axis1=1, axis2=2).sum()
@@ -31,7 +31,7 @@ def test_a_view_from_the_side_measures_depth() -> None:
     assert near < left[2]
 
 
-def test_it_is_the_formula_for_one_coordinate() -> None:
+def test_posterior_variance_of_one_coordinate() -> None:
     # A camera straight ahead of a point one meter away measures x with fx pixels a meter.
     keypoints = np.array([[0.0, 0.0, 1.0]])
     wide = np.diag([1e-2, 1e-12, 1e-12])[None]
@@ -40,7 +40,9 @@ def test_it_is_the_formula_for_one_coordinate() -> None:
     assert left == pytest.approx(expected, rel=1e-3)
 
 
-def test_the_policy_takes_the_least_variance(make_bank: Callable[..., ViewBank]) -> None:
+def test_uncertain_depth_gives_wide_baseline(
+    make_bank: Callable[..., ViewBank],
+) -> None:
     bank = make_bank(4)
     # Uncertain along the line of sight of the reference camera.
     bank.covariance[:] = np.diag([1e-6, 1e-6, 1e-2])
@@ -56,11 +58,11 @@ def test_the_policy_takes_the_least_variance(make_bank: Callable[..., ViewBank])
         assert angle > np.quantile(angles, 0.7)
 
 
-def test_it_needs_an_estimate() -> None:
+def test_uncertainty_needs_an_estimator() -> None:
     env = gym.make(
         "two_view_pose:TwoViewPose-v0", objects=["duck"], estimator=None, resolution=(120, 160)
     )
     observation, _ = env.reset(seed=0)
-    with pytest.raises(ValueError, match="uncertainty needs an estimator"):
+    with pytest.raises(ValueError, match="uncertainty needs an environment with an estimator"):
         make_policy("uncertainty", env).act(observation)
     env.close()

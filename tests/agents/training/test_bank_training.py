@@ -1,4 +1,4 @@
-"""Reinforcement learning over a bank: the best policy is kept, and a killed run ends the same."""
+"""Reinforcement learning over a bank: validation, resuming and pretrained extractors."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def config(make_bank: Make, tmp_path: Path) -> Callable[..., TrainAgentConfig]:
 
 
 @pytest.mark.parametrize("algo", ["ppo", "sac"])
-def test_a_policy_of_a_bank_acts_over_a_bank(
+def test_train_and_evaluate_over_a_bank(
     algo: str, config: Callable[..., TrainAgentConfig], capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = train_agent(config(algo=algo))
@@ -92,7 +92,7 @@ def test_a_policy_of_a_bank_acts_over_a_bank(
     assert rows["max-baseline", "travel"]["value"] > rows["stay", "travel"]["value"] == 0.0
 
 
-def test_a_killed_run_ends_with_the_same_policy(
+def test_resumed_run_ends_with_the_same_policy(
     config: Callable[..., TrainAgentConfig], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = train_agent(config(out="whole"))
@@ -115,7 +115,7 @@ def test_a_killed_run_ends_with_the_same_policy(
             assert torch.equal(value, b[key]), key
 
 
-def test_a_learner_starts_from_a_greedy_agent(
+def test_pretrained_extractor(
     config: Callable[..., TrainAgentConfig],
 ) -> None:
     greedy = train_agent(config(algo="greedy", out="greedy"))
@@ -132,7 +132,7 @@ def test_a_learner_starts_from_a_greedy_agent(
         train_agent(config(out="other", pretrained_extractor=greedy))
 
 
-def test_candidates_are_found_from_the_observation_alone(make_bank: Make) -> None:
+def test_candidate_features_equal_view_features(make_bank: Make) -> None:
     bank = make_bank(20)
     expected = view_features(bank.T_cam_world, bank.center, bank.second_T_cam_world)
     found = candidate_features(
@@ -141,8 +141,8 @@ def test_candidates_are_found_from_the_observation_alone(make_bank: Make) -> Non
     np.testing.assert_allclose(found.numpy(), expected, atol=2e-4)
 
 
-def test_a_bank_must_be_larger_than_the_validation(
+def test_bank_smaller_than_validation_is_rejected(
     config: Callable[..., TrainAgentConfig],
 ) -> None:
-    with pytest.raises(ValueError, match="too few to keep 30 for validation"):
+    with pytest.raises(ValueError, match="validation must be < 30"):
         train_agent(config(validation=30))

@@ -1,4 +1,4 @@
-"""Agents on a CUDA GPU, where there is one."""
+"""Agents on a CUDA GPU, if available."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from two_view_pose.agents.policies.greedy import GreedyPolicy
 from two_view_pose.agents.policies.registry import make_policy
 from two_view_pose.agents.policies.trained import channels_first
 from two_view_pose.agents.training.config import TrainAgentConfig
-from two_view_pose.agents.training.error_regression import chosen_slots, train_agent_networks
+from two_view_pose.agents.training.error_regression import predicted_best_slots, train_greedy_agent
 from two_view_pose.agents.training.train_agent import train_agent
 from two_view_pose.envs.view_banks.bank import ViewBank
 
@@ -24,7 +24,7 @@ pytestmark = [
 REPLAY = "two_view_pose:TwoViewPoseReplay-v0"
 
 
-def test_greedy_predicts_the_same() -> None:
+def test_greedy_predictions_equal_cpu() -> None:
     env = gym.make("two_view_pose:TwoViewPose-v0", estimator=None, resolution=(120, 160))
     observation, _ = env.reset(seed=0)
     here, there = (make_policy("greedy", env, device) for device in ("cpu", "cuda"))
@@ -34,7 +34,7 @@ def test_greedy_predicts_the_same() -> None:
     env.close()
 
 
-def test_a_ppo_update(config: Callable[..., TrainAgentConfig]) -> None:
+def test_ppo_update(config: Callable[..., TrainAgentConfig]) -> None:
     path = train_agent(config(steps=32, device="cuda"))
     env = gym.make("helpers.toy_env:ToyView-v0")
     observation, _ = env.reset(seed=0)
@@ -42,14 +42,12 @@ def test_a_ppo_update(config: Callable[..., TrainAgentConfig]) -> None:
     np.testing.assert_allclose(there.act(observation), here.act(observation), atol=1e-2)
 
 
-def test_greedy_learns(make_bank: Callable[..., ViewBank]) -> None:
+def test_greedy_training(make_bank: Callable[..., ViewBank]) -> None:
     bank = make_bank(60)
     space = channels_first(gym.make(REPLAY, bank=bank))
     hyperparameters = GreedyHyperparameters(epochs=40, networks=1, width=6, features_dim=32)
     before = torch.cuda.get_rng_state()
-    agent = train_agent_networks(
-        bank, space, hyperparameters, 0, False, device=torch.device("cuda")
-    )
+    agent = train_greedy_agent(bank, space, hyperparameters, 0, False, device=torch.device("cuda"))
     assert torch.equal(before, torch.cuda.get_rng_state())
-    errors = bank.second_error[np.arange(60), chosen_slots(agent, bank)]
+    errors = bank.second_error[np.arange(60), predicted_best_slots(agent, bank)]
     assert agent.device.type == "cuda" and np.mean(errors < 0.1) > 0.8

@@ -1,4 +1,4 @@
-"""The hyper-parameter file is read, checked and never executed."""
+"""Hyper-parameter files are validated and never executed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ENTRIES = [
 
 
 @pytest.mark.parametrize(("algo", "env_id"), [e for e in ENTRIES if "Replay" in e[1]])
-def test_shipped_entries_make_a_model_over_a_bank(
+def test_shipped_hyperparameters_over_a_bank(
     algo: str, env_id: str, make_bank: Callable[..., ViewBank]
 ) -> None:
     entry = load_hyperparameters(algo, env_id)
@@ -44,7 +44,7 @@ def test_shipped_entries_make_a_model_over_a_bank(
 
 
 @pytest.mark.parametrize(("algo", "env_id"), [e for e in ENTRIES if "Replay" not in e[1]])
-def test_shipped_entries_make_a_model(algo: str, env_id: str) -> None:
+def test_shipped_hyperparameters(algo: str, env_id: str) -> None:
     entry = load_hyperparameters(algo, env_id)
     toy = (
         "helpers.toy_env:ToyViewDiscrete-v0"
@@ -58,7 +58,7 @@ def test_shipped_entries_make_a_model(algo: str, env_id: str) -> None:
 
 
 @pytest.mark.parametrize("env_id", [env_id for algo, env_id in ENTRIES if algo == "ppo"])
-def test_rl_zoo3_is_given_what_sb3_takes(env_id: str, make_bank: Callable[..., ViewBank]) -> None:
+def test_rl_zoo3_conf_file(env_id: str, make_bank: Callable[..., ViewBank]) -> None:
     entry = dict(zoo.hyperparams[env_id])
     toy = (
         "helpers.toy_env:ToyViewDiscrete-v0"
@@ -68,7 +68,7 @@ def test_rl_zoo3_is_given_what_sb3_takes(env_id: str, make_bank: Callable[..., V
     replay = "Replay" in env_id
     env = gym.make(f"two_view_pose:{env_id}", bank=make_bank(4)) if replay else gym.make(toy)
     assert entry.pop("n_timesteps") > 0 and entry.pop("n_envs") > 0
-    # rl-zoo3 itself reads what it knows: text such as lin_3.0e-4.
+    # rl-zoo3 itself converts text such as lin_3.0e-4.
     assert entry.pop("learning_rate").startswith("lin_")
     entry["batch_size"] = entry["n_steps"]
     model = sb3.PPO(entry.pop("policy"), env, device="cpu", **entry)
@@ -84,12 +84,12 @@ def test_rl_zoo3_is_given_what_sb3_takes(env_id: str, make_bank: Callable[..., V
         ("sac: {ToyView-v0: {}}", "no entry ppo: ToyView-v0"),
         ("ppo: {ToyView-v0: {color: red}}", "unknown hyper-parameters of ppo: color"),
         ("ppo: {ToyView-v0: {policy: MlpPolicy}}", "policy must be MultiInputPolicy"),
-        ("ppo: {ToyView-v0: {learning_rate: lin_fast}}", "written lin_<number>, got 'lin_fast'"),
+        ("ppo: {ToyView-v0: {learning_rate: lin_fast}}", "must be lin_<number>, got 'lin_fast'"),
         ("ppo: {ToyView-v0: {policy_kwargs: 'dict(net_arch=[])'}}", "must be a mapping"),
         ("ppo: {ToyView-v0: {policy_kwargs: {optimizer_class: x}}}", "unknown policy_kwargs"),
     ],
 )
-def test_a_wrong_file_is_refused(
+def test_invalid_file_is_rejected(
     text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -1,8 +1,7 @@
-"""Every tensor of the agents' networks is made where the networks are.
+"""Tensors are created on the device of the agents' networks; checked without a GPU.
 
-No GPU is needed to see it. With the meta device as the default, a tensor that is made without its
-device holds no numbers, and joining it to one that does raises. With the networks on the meta
-device, so does what was left on the processor.
+With meta as the default device, combining a tensor created without a device with a CPU tensor
+raises. With the networks on meta, so does a tensor left on the CPU.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from two_view_pose.agents.policies.greedy import GreedyAgent, GreedyPolicy, to_t
 from two_view_pose.agents.policies.registry import make_policy
 from two_view_pose.agents.policies.trained import channels_first
 from two_view_pose.agents.training.config import TrainAgentConfig
-from two_view_pose.agents.training.error_regression import chosen_slots, train_agent_networks
+from two_view_pose.agents.training.error_regression import predicted_best_slots, train_greedy_agent
 from two_view_pose.agents.training.train_agent import train_agent
 from two_view_pose.agents.training.training_state import state_tensors
 from two_view_pose.envs.view_banks.bank import ViewBank
@@ -51,12 +50,12 @@ def space(bank: ViewBank) -> spaces.Dict:
     return channels_first(gym.make(REPLAY, bank=bank))
 
 
-def test_the_default_is_noticed() -> None:
+def test_meta_default_device_raises() -> None:
     with meta_by_default(), pytest.raises(RuntimeError, match="meta"):
         torch.from_numpy(np.ones(2)) + torch.zeros(2)
 
 
-def test_extractor(bank: ViewBank, space: spaces.Dict) -> None:
+def test_candidate_extractor(bank: ViewBank, space: spaces.Dict) -> None:
     extractor = CandidateExtractor(space).eval()
     observations = to_tensors(bank.first, torch.device("cpu"))
     with torch.inference_mode():
@@ -67,39 +66,39 @@ def test_extractor(bank: ViewBank, space: spaces.Dict) -> None:
         assert extractor.to(META)(on_meta).shape == expected.shape
 
 
-def test_greedy_acts(bank: ViewBank) -> None:
+def test_greedy_policy_with_meta_default(bank: ViewBank) -> None:
     env = gym.make(REPLAY, bank=bank)
     agent = GreedyAgent(channels_first(env), QUICK).eval()
     observation, _ = env.reset(seed=0)
     header = _header(env)
     expected = GreedyPolicy(agent, header, env).predict(observation)
-    slots = chosen_slots(agent, bank)
+    slots = predicted_best_slots(agent, bank)
     with meta_by_default():
         policy = GreedyPolicy(agent, header, env)
         np.testing.assert_array_equal(policy.predict(observation), expected)
         assert env.action_space.contains(policy.act(observation))
         assert 0 < agent.confidence(observation, observation) < 1
-        np.testing.assert_array_equal(chosen_slots(agent, bank), slots)
+        np.testing.assert_array_equal(predicted_best_slots(agent, bank), slots)
 
 
-def test_greedy_takes_its_inputs_to_the_networks(bank: ViewBank) -> None:
+def test_greedy_moves_inputs_to_the_device(bank: ViewBank) -> None:
     env = gym.make(REPLAY, bank=bank)
     agent = GreedyAgent(channels_first(env), QUICK).eval().to(META)
     policy = GreedyPolicy(agent, _header(env), env)
     observation, _ = env.reset(seed=0)
-    # All but the way back, since there are no numbers to bring.
-    for ask in (
+    # Up to the copy to the CPU, which meta tensors do not support.
+    for call in (
         lambda: policy.predict(observation),
-        lambda: chosen_slots(agent, bank),
+        lambda: predicted_best_slots(agent, bank),
     ):
         with pytest.raises(NotImplementedError, match="Cannot copy out of meta tensor"):
-            ask()
+            call()
     with pytest.raises(RuntimeError, match=r"item\(\) cannot be called on meta tensors"):
         agent.confidence(observation, observation)
 
 
 @pytest.mark.parametrize("name", ["greedy", "ppo"])
-def test_shipped_agents_act(name: str) -> None:
+def test_shipped_agents_with_meta_default(name: str) -> None:
     env = gym.make("two_view_pose:TwoViewPoseDiscrete-v0", estimator=None, resolution=(120, 160))
     policy = make_policy(name, env, "cpu")
     observation, _ = env.reset(seed=0)
@@ -112,21 +111,19 @@ def test_shipped_agents_act(name: str) -> None:
 
 
 def test_supervised_training(bank: ViewBank, space: spaces.Dict) -> None:
-    expected = train_agent_networks(bank, space, QUICK, 3, False, bank).state_dict()
+    expected = train_greedy_agent(bank, space, QUICK, 3, False, bank).state_dict()
     with meta_by_default():
-        found = train_agent_networks(bank, space, QUICK, 3, False, bank).state_dict()
+        found = train_greedy_agent(bank, space, QUICK, 3, False, bank).state_dict()
     for key, value in expected.items():
         assert torch.equal(value, found[key]), key
 
 
-def test_supervised_training_takes_its_datasets_to_the_networks(
-    bank: ViewBank, space: spaces.Dict
-) -> None:
-    agent = train_agent_networks(bank, space, QUICK, 3, False, bank, META)
+def test_supervised_training_on_meta(bank: ViewBank, space: spaces.Dict) -> None:
+    agent = train_greedy_agent(bank, space, QUICK, 3, False, bank, META)
     assert {parameter.device.type for parameter in agent.parameters()} == {"meta"}
 
 
-def test_a_replay_buffer_is_saved_from_the_processor(
+def test_replay_buffer_is_saved_from_cpu(
     config: Callable[..., TrainAgentConfig], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from two_view_pose.agents.training import train_agent as train

@@ -1,4 +1,4 @@
-"""The agents meet the real environment: it trains, saves, and is compared on the same scenes."""
+"""Training and evaluation in the rendered environments."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ HYPERPARAMETERS = """
 """
 
 
-class Guess:
-    """Says that every object is a meter in front of the camera, whatever the views."""
+class ConstantEstimator:
+    """Estimates every object one meter in front of the camera."""
 
     def estimate(self, views: Sequence[View], object_name: str) -> PoseEstimate:
         T_cam_obj = np.eye(4)
@@ -68,16 +68,16 @@ def test_train_and_evaluate(
         )
     )
     printed = capsys.readouterr().out.partition("two_view_pose evaluate-agent ")[2]
-    config = tyro.cli(EvaluateAgentConfig, args=shlex.split(printed))  # the command that is advised
+    config = tyro.cli(EvaluateAgentConfig, args=shlex.split(printed))  # the printed command
     assert config.policy == ("random", "fixed", "max-baseline", str(path))
-    estimator = {**SMALL, "estimator": Guess()}
+    estimator = {**SMALL, "estimator": ConstantEstimator()}
     records = evaluate_agents(replace(config, episodes=4, progress=False, env_kwargs=estimator))
     rows = {
         (r["policy"], r["metric"]): r["value"]
         for r in records
         if r["object"] == "mean" and "against" not in r and "visibility" not in r
     }
-    # The guess does not change with the second view, so on the same scenes all errors agree.
+    # The estimate does not depend on the views, so all errors on the same scenes are equal.
     errors = {rows[name, "add_over_diameter"] for name in (STAY, "random", str(path))}
     assert len(errors) == 1
     assert rows[STAY, "travel"] == 0.0
@@ -85,7 +85,7 @@ def test_train_and_evaluate(
 
 
 @pytest.mark.parametrize("env_id", ["TwoViewPose-v0", "TwoViewPoseDiscrete-v0"])
-def test_baselines_see_what_the_environment_reports(env_id: str) -> None:
+def test_baseline_angles_of_policies(env_id: str) -> None:
     env = gym.make(env_id, objects=["duck"], estimator=None, **SMALL)
     angles: dict[str, list[float]] = {
         name: [] for name in ("random", "fixed", "above", "max-baseline")

@@ -1,4 +1,4 @@
-"""Sub-environments of one estimator against SB3's own vector environment of single ones."""
+"""The SB3 adapter of the vector environment, compared with SB3's DummyVecEnv."""
 
 from __future__ import annotations
 
@@ -52,9 +52,7 @@ def check_equal(one: Any, other: Any) -> None:
 
 
 @pytest.mark.parametrize("env_id", ["TwoViewPose-v0", "TwoViewPoseDiscrete-v0"])
-def test_they_answer_as_single_environments_in_turn(
-    env_id: str, make: Callable[..., VecEnv]
-) -> None:
+def test_equals_dummy_vec_env(env_id: str, make: Callable[..., VecEnv]) -> None:
     ours = make(env_id)
     theirs = DummyVecEnv([lambda: gym.make(env_id, **SMALL)] * 2)
     assert ours.observation_space == theirs.observation_space
@@ -72,11 +70,11 @@ def test_they_answer_as_single_environments_in_turn(
         for one, other in zip(ours.step(actions), theirs.step(actions), strict=True):
             check_equal(one, other)
         check_equal(ours.reset_infos, theirs.reset_infos)
-    check_equal(ours.reset(), theirs.reset())  # seeds and options counted once
+    check_equal(ours.reset(), theirs.reset())  # seeds and options apply once
     theirs.close()
 
 
-def test_attributes_and_methods_of_chosen_sub_environments(
+def test_attributes_and_methods_by_index(
     make: Callable[..., VecEnv],
 ) -> None:
     env = make(n_envs=3, render_mode="rgb_array")
@@ -92,21 +90,21 @@ def test_attributes_and_methods_of_chosen_sub_environments(
     assert image is not None and image.shape == (2 * 664, 2 * 1360, 3)
 
 
-def test_options_are_shared(make: Callable[..., VecEnv]) -> None:
+def test_different_options_are_rejected(make: Callable[..., VecEnv]) -> None:
     env = make()
     env.set_options([{"object": "duck"}, {"object": "cat"}])
     with pytest.raises(ValueError, match="options must be the same"):
         env.reset()
 
 
-def test_environments_that_reset_a_step_late_are_refused() -> None:
+def test_next_step_autoreset_is_rejected() -> None:
     vector = gym.make_vec("CartPole-v1", num_envs=2, vectorization_mode="sync")
     with pytest.raises(ValueError, match="autoreset_mode"):
         SharedEstimatorVecEnv(vector)
     vector.close()
 
 
-def test_a_vector_environment_without_single_ones_is_refused() -> None:
+def test_vector_environment_without_envs_is_rejected() -> None:
     vector = gym.make_vec("CartPole-v1", num_envs=2, vectorization_mode="vector_entry_point")
     vector.metadata = {**vector.metadata, "autoreset_mode": gym.vector.AutoresetMode.SAME_STEP}
     with pytest.raises(ValueError, match="envs"):
@@ -114,14 +112,14 @@ def test_a_vector_environment_without_single_ones_is_refused() -> None:
     vector.close()
 
 
-def test_which_environments_have_a_vector_environment() -> None:
+def test_has_vector_env() -> None:
     assert has_vector_env("TwoViewPose-v0") and has_vector_env(
         "two_view_pose:TwoViewPoseDiscrete-v0"
     )
     assert not has_vector_env("TwoViewPoseSequential-v0") and not has_vector_env("CartPole-v1")
 
 
-def test_episodes_are_counted_for_the_trainer() -> None:
+def test_monitor_records_episodes() -> None:
     env = make_sub_environments("TwoViewPose-v0", 2, {"workers": 0, **SMALL})
     env.seed(0)
     env.reset()

@@ -1,4 +1,4 @@
-"""Training learns, is bit-equal under one seed, and survives being killed."""
+"""Training learns, is deterministic under one seed, and resumes after a kill."""
 
 from __future__ import annotations
 
@@ -71,13 +71,13 @@ ppo:
     trained = mean_reward(load_policy(path, gym.make("helpers.toy_env:ToyView-v0")).act)
     rng = np.random.default_rng(0)
     untrained = mean_reward(lambda _: rng.uniform(-1, 1, 3).astype(np.float32))
-    center = mean_reward(lambda _: np.zeros(3, np.float32))  # the best without looking
+    center = mean_reward(lambda _: np.zeros(3, np.float32))  # best constant action
     assert untrained < center < -0.45
     assert trained > -0.2
 
 
 @pytest.mark.parametrize("algo", ["ppo", "sac", "dqn"])
-def test_same_seed_same_weights_and_interrupted_equals_whole(
+def test_training_is_deterministic_and_resumable(
     algo: str, config: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, again = config(algo, "whole", steps=96), config(algo, "again", steps=96)
@@ -101,13 +101,14 @@ def test_same_seed_same_weights_and_interrupted_equals_whole(
     assert not torch.equal(first_weight(whole.out), first_weight(other.out))
 
 
-def test_a_killed_process_resumes_from_its_checkpoint(config: Make) -> None:
+def test_killed_process_resumes_from_checkpoint(config: Make) -> None:
     whole, killed = config(out="whole", steps=1280), config(out="killed", steps=1280)
     train_agent(whole)
     script = f"""
 from pathlib import PosixPath
 import torch
-from two_view_pose.agents.train import TrainAgentConfig, train_agent
+from two_view_pose.agents.training.config import TrainAgentConfig
+from two_view_pose.agents.training.train_agent import train_agent
 torch.set_num_threads(1)
 train_agent({killed!r})
 """
@@ -126,14 +127,12 @@ train_agent({killed!r})
     assert list((killed.out / LOGS).glob("ppo_1/events.*"))
 
 
-def test_several_environments_side_by_side(config: Make) -> None:
+def test_parallel_environments(config: Make) -> None:
     path = train_agent(config(steps=128, n_envs=2, checkpoint_every=64))
     assert read_agent(path)[0].n_envs == 2
 
 
-def test_a_finished_run_has_nothing_left_to_do(
-    config: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_finished_run_is_unchanged(config: Make, capsys: pytest.CaptureFixture[str]) -> None:
     path = train_agent(config(steps=64))
     before = path.read_bytes()
     assert train_agent(config(steps=64)) == path
@@ -160,7 +159,7 @@ def test_results_file(config: Make, tmp_path: Path) -> None:
         ({"checkpoint_every": 64}, "checkpoint_every"),
     ],
 )
-def test_a_folder_of_another_run_is_refused(
+def test_checkpoint_of_another_run_is_rejected(
     fields: dict[str, object], message: str, config: Make
 ) -> None:
     train_agent(config(steps=32))
@@ -170,7 +169,7 @@ def test_a_folder_of_another_run_is_refused(
 
 
 def test_training_resumes_on_another_device(config: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The device is no part of what identifies a run, nor of its file."""
+    """The device is not part of the header."""
     devices, make = [], gym.make
 
     def spy(env_id: str, **arguments: Any) -> gym.Env:
@@ -185,10 +184,10 @@ def test_training_resumes_on_another_device(config: Make, monkeypatch: pytest.Mo
     assert header.steps == 64 and header.env_kwargs == {"scene": "linemod", "estimator": "mid"}
 
 
-def test_wrong_arguments(config: Make) -> None:
-    with pytest.raises(ValueError, match="steps must be at least 1, got 0"):
+def test_invalid_arguments(config: Make) -> None:
+    with pytest.raises(ValueError, match="steps must be >= 1, got 0"):
         config(steps=0)
-    with pytest.raises(ValueError, match="seed must be at least 0"):
+    with pytest.raises(ValueError, match="seed must be >= 0"):
         config(seed=-1)
     with pytest.raises(ValueError, match="plain data"):
         train_agent(config(env_kwargs={"gain": np.float32}))
