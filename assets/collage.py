@@ -1,8 +1,8 @@
-"""Images full of edges and colors that show nothing: what stands behind things on real desks.
+"""Synthetic background images: collages full of edges and colors, and boards of markers.
 
-Overlapping leaves of all sizes have the edges of photographs ("dead leaves": Lee, Mumford and
-Huang, IJCV 2001; Baradad et al., "Learning to See by Looking at Noise", NeurIPS 2021), and are
-drawn rather than collected, so that training needs nobody's photographs.
+Overlapping leaves of all sizes have the edge statistics of photographs ("dead leaves": Lee, Mumford
+and Huang, IJCV 2001; Baradad et al., "Learning to See by Looking at Noise", NeurIPS 2021), so
+training needs no photographs.
 """
 
 from __future__ import annotations
@@ -17,19 +17,11 @@ _LETTERS = np.array(list("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ01
 
 
 def draw_collage(rng: np.random.Generator, size: int) -> np.ndarray:
-    """Draws a image of overlapping leaves, lines and letters on a cloudy ground.
-
-    Args:
-        rng: decides everything.
-        size: side in pixels.
-
-    Returns:
-        (size, size, 3) uint8 RGB.
-    """
+    """Draws overlapping leaves, lines and letters on clouds, (size, size, 3) uint8 RGB."""
     palette = [_color(rng) for _ in range(int(rng.integers(3, 9)))]
     image = _clouds(rng, size, palette)
-    # Radii with a density of r^-2: fewer small ones than in Lee et al., where r^-3 leaves no size
-    # out; what is seen of a background in a crop are its larger parts.
+    # Radii with a density of r^-2: fewer small leaves than in Lee et al. (r^-3), since a crop shows
+    # the larger parts of a background.
     smallest, largest = size / 50, size / rng.uniform(2.0, 6.0)
     shares = rng.uniform(size=int(np.exp(rng.uniform(np.log(30), np.log(400)))))
     radii = 1 / ((1 - shares) / smallest + shares / largest)
@@ -47,15 +39,7 @@ def draw_collage(rng: np.random.Generator, size: int) -> np.ndarray:
 
 
 def draw_markers(rng: np.random.Generator, size: int) -> np.ndarray:
-    """Draws a board of black squares with bits in them, as cameras are calibrated with.
-
-    Args:
-        rng: decides everything.
-        size: side in pixels.
-
-    Returns:
-        (size, size, 3) uint8 RGB.
-    """
+    """Draws a board of fiducial markers, (size, size, 3) uint8 RGB."""
     cells = int(rng.integers(2, 7))
     side = size // cells
     paper = rng.integers(190, 256)
@@ -76,14 +60,14 @@ def draw_markers(rng: np.random.Generator, size: int) -> np.ndarray:
 
 
 def _color(rng: np.random.Generator) -> tuple[float, ...]:
-    """Often strong, sometimes gray, RGB in 0 to 255."""
+    """A random color, RGB in 0 to 255: often saturated, sometimes gray."""
     saturation = rng.uniform(0.4, 1.0) if rng.uniform() < 0.6 else rng.beta(0.8, 6.0)
     rgb = colorsys.hsv_to_rgb(rng.uniform(), saturation, rng.beta(1.2, 0.9))
     return tuple(255 * c for c in rgb)
 
 
 def _clouds(rng: np.random.Generator, size: int, palette: list[tuple[float, ...]]) -> np.ndarray:
-    """A smooth mixture of two colors with noise of several octaves, (size, size, 3) uint8."""
+    """Mixes two colors by noise of several octaves, (size, size, 3) uint8."""
     mix = np.zeros((size, size), np.float32)
     cells, weight = int(rng.integers(2, 6)), 0.6
     while cells < size:
@@ -106,7 +90,7 @@ def draw_leaf(
 
     Args:
         image: (H, W, 3) uint8.
-        rng: decides kind, shape and turn.
+        rng: draws kind, shape and rotation.
         radius: half the larger side in pixels.
         color: RGB, 0 to 255.
         center: (2,) pixels.
@@ -138,7 +122,7 @@ def draw_leaf(
 
 
 def _draw_text(image: np.ndarray, rng: np.random.Generator, color: tuple[float, ...]) -> None:
-    """A few lines of letters, in place."""
+    """Draws a few lines of letters, in place."""
     size = len(image)
     scale = size / 512 * np.exp(rng.uniform(np.log(0.4), np.log(3.0)))
     x, y = rng.uniform(-0.1, 0.7, 2) * size

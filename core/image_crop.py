@@ -1,9 +1,26 @@
-"""Cuts a square crop out of an image by an affine map."""
+"""Affine maps of images, and square crops cut out by them."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
+
+
+def similarity_matrix(
+    scale: float, angle: float, target: np.ndarray, source: np.ndarray
+) -> np.ndarray:
+    """Returns the affine map (3, 3) that scales, rotates, and moves ``source`` to ``target``.
+
+    Args:
+        scale: factor.
+        angle: radians.
+        target: (2,) pixels.
+        source: (2,) pixels.
+    """
+    cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
+    matrix = np.array([[cosine, -sine, target[0]], [sine, cosine, target[1]], [0, 0, 1.0]])
+    matrix[:2, 2] -= matrix[:2, :2] @ source
+    return matrix
 
 
 def warp_crop(image: np.ndarray, affine: np.ndarray, side: int) -> np.ndarray:
@@ -15,12 +32,12 @@ def warp_crop(image: np.ndarray, affine: np.ndarray, side: int) -> np.ndarray:
         side: side of the crop.
 
     Returns:
-        (side, side) or (side, side, 3) uint8; gray (127) or 0 in masks outside the image.
+        (side, side) or (side, side, 3) uint8; outside the image gray (127), or 0 in masks.
     """
     shrink = 1.0 / np.sqrt(abs(np.linalg.det(affine[:2, :2])))
     matrix = affine[:2]
     if shrink > 1.5:
-        # Bilinear sampling alone would alias: halve the region first.
+        # Bilinear sampling alone would alias: shrink the region first.
         factor = 1.0 / round(shrink)
         corners = np.linalg.inv(affine) @ np.array(
             [[0, side, 0, side], [0, 0, side, side], [1, 1, 1, 1.0]]
@@ -33,20 +50,8 @@ def warp_crop(image: np.ndarray, affine: np.ndarray, side: int) -> np.ndarray:
             height = max(1, round(region.shape[0] * factor))
             fx, fy = width / region.shape[1], height / region.shape[0]
             image = cv2.resize(region, (width, height), interpolation=cv2.INTER_AREA)
-            back = np.array(
-                [
-                    [1 / fx, 0, (1 / fx - 1) / 2 + low[0]],
-                    [0, 1 / fy, (1 / fy - 1) / 2 + low[1]],
-                    [0, 0, 1.0],
-                ]
-            )
+            shift = [(1 / fx - 1) / 2 + low[0], (1 / fy - 1) / 2 + low[1]]
+            back = np.array([[1 / fx, 0, shift[0]], [0, 1 / fy, shift[1]], [0, 0, 1.0]])
             matrix = (affine @ back)[:2]
     border = (127, 127, 127) if image.ndim == 3 else 0
-    return cv2.warpAffine(
-        image,
-        matrix,
-        (side, side),
-        flags=cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=border,
-    )
+    return cv2.warpAffine(image, matrix, (side, side), flags=cv2.INTER_LINEAR, borderValue=border)

@@ -1,4 +1,4 @@
-"""Errors of a relative camera pose, as an inexact hand-eye calibration makes them."""
+"""Errors of a relative camera pose, as from an inexact hand-eye calibration."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ def perturb_relative_pose(
     *,
     uniform: bool = False,
 ) -> np.ndarray:
-    """Turns the second camera about its center and shifts it, both in random directions.
+    """Rotates the second camera about its center and shifts it, both in random directions.
 
     Args:
         T_second_ref: relative pose (4, 4), from the reference camera's frame to the second's.
         degrees: angle of the rotation.
         meters: length of the shift.
-        rng: source of randomness.
-        uniform: draw the angle and the length uniformly from 0 to the given ones.
+        rng: random generator.
+        uniform: draw angle and length uniformly from [0, ``degrees``] and [0, ``meters``].
 
     Returns:
         The perturbed relative pose (4, 4).

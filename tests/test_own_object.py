@@ -18,7 +18,7 @@ from two_view_pose.pose_estimator.bop.dataset import read_dataset
 from two_view_pose.pose_estimator.bop.models_info import read_models_info
 from two_view_pose.pose_estimator.bop.pairs import read_pairs
 from two_view_pose.pose_estimator.networks.weights import read_header
-from two_view_pose.pose_estimator.training.checkpoints import read_numbers
+from two_view_pose.pose_estimator.training.checkpoints import read_counters
 from two_view_pose.pose_estimator.training.stages import CropStage, DetectorStage
 from two_view_pose.pose_estimator.training.volume_stage import VolumeStage
 
@@ -131,7 +131,7 @@ def test_a_killed_training_ends_with_the_same_weights(
 
     monkeypatch.setattr(CropStage, "loss", killed)
     assert run(training(data, tmp_path)) == 130
-    assert read_numbers(tmp_path / "decoders.safetensors")["step"] == 1
+    assert read_counters(tmp_path / "decoders.safetensors")["step"] == 1
     monkeypatch.setattr(CropStage, "loss", loss)
     assert run(training(data, tmp_path)) == 0
     assert (tmp_path / "weights.safetensors").read_bytes() == weights.read_bytes()

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ...assets.object_model import ObjectModel
-from ...core.geometry import make_transform
+from ...core.pose_noise import perturb_relative_pose
 from ..bop.dataset import BopPair
 from ..evaluation.evaluate_pairs import target_pairs
 
@@ -130,12 +129,7 @@ def perturbed_pose(unit: Unit, pair: BopPair, seed: int) -> np.ndarray:
     if not unit.rotation and not unit.translation:
         return pair.T_second_ref
     rng = np.random.default_rng([seed, pair.scene_id, pair.ref_image_id, pair.second_image_id])
-    axis, direction = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
-    error = make_transform(
-        Rotation.from_rotvec(np.deg2rad(unit.rotation) * axis).as_matrix(),
-        unit.translation * direction,
-    )
-    return error @ pair.T_second_ref
+    return perturb_relative_pose(pair.T_second_ref, unit.rotation, unit.translation, rng)
 
 
 def plan(

@@ -16,26 +16,26 @@ _MODEL = "model."
 
 
 def save_checkpoint(
-    path: Path, module: nn.Module, state: Mapping[str, Tensor], numbers: Mapping[str, int]
+    path: Path, module: nn.Module, state: Mapping[str, Tensor], counters: Mapping[str, int]
 ) -> None:
-    """Writes a checkpoint in place of the one that is there.
+    """Writes a checkpoint, replacing an older one.
 
     Args:
         path: ``NAME.safetensors``.
-        module: whose parameters and buffers are kept.
-        state: further tensors by name, of the optimizer for example.
-        numbers: kept with them, ``step`` among them.
+        module: whose parameters and buffers are saved.
+        state: additional tensors by name, for example of the optimizer.
+        counters: metadata, ``step`` among them.
     """
     tensors = {f"{_MODEL}{name}": tensor for name, tensor in module.state_dict().items()}
     contiguous = {name: tensor.contiguous() for name, tensor in {**tensors, **state}.items()}
-    write_atomically(path, save(contiguous, {name: str(n) for name, n in numbers.items()}))
+    write_atomically(path, save(contiguous, {name: str(n) for name, n in counters.items()}))
 
 
 def load_checkpoint(module: nn.Module, path: Path) -> dict[str, Tensor]:
-    """Restores a module from a checkpoint; returns the further tensors that the file holds.
+    """Loads a checkpoint into a module and returns its additional tensors.
 
     Raises:
-        InputError: if it is of networks of another shape.
+        InputError: if its parameters have other names or shapes.
     """
     tensors = load_file(path)
     names = [name for name in tensors if name.startswith(_MODEL)]
@@ -49,7 +49,7 @@ def load_checkpoint(module: nn.Module, path: Path) -> dict[str, Tensor]:
     return tensors
 
 
-def read_numbers(path: Path) -> dict[str, int]:
-    """The numbers of a checkpoint alone."""
+def read_counters(path: Path) -> dict[str, int]:
+    """Reads the counters of a checkpoint."""
     with safe_open(path, framework="pt") as file:
         return {name: int(number) for name, number in file.metadata().items()}

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from ...core.errors import InputError
+from ...core.validation import require_within
 
 
 @dataclass(frozen=True)
@@ -15,8 +16,8 @@ class StageSettings:
     """How long and how one stage is trained.
 
     Attributes:
-        steps: batches in all.
-        batch: samples in each.
+        steps: number of batches.
+        batch: samples per batch.
         learning_rate: its maximum.
     """
 
@@ -33,25 +34,20 @@ STAGE_DEFAULTS = {
     "cascade": StageSettings(4000, 8, 2e-3),
     "points": StageSettings(4000, 32, 2e-3),
 }
-"""How each stage is trained without options; the decoders' steps are for each object."""
+"""Defaults of each stage; the decoders' steps are per object."""
 
 PAPER_VOLUME = StageSettings(3000, 2, 1e-3)
 """The volume of the preset ``paper``, which has a hundred times the voxels."""
 
 _STEPS_WITH_INIT = {"detector": 500, "volume": 1000}
-"""Of stages whose networks know most of it from the weights that the training starts from."""
+"""Steps of the stages that need fewer when they start from trained weights."""
 
 _MIN_DECODER_STEPS = 2000
 
-_STEP_OPTIONS = {
-    "detector": "detector_steps",
-    "features": "feature_steps",
-    "decoders": "decoder_steps",
-    "volume": "volume_steps",
-    "cascade": "cascade_steps",
-    "points": "points_steps",
-}
-"""The option that says how many batches a stage has."""
+
+def _steps_option(stage: str) -> str:
+    """The option with the number of batches of a stage."""
+    return {"features": "feature_steps", "decoders": "decoder_steps"}.get(stage, f"{stage}_steps")
 
 
 @dataclass(frozen=True)
@@ -61,15 +57,15 @@ class TrainEstimatorConfig:
     Runs four stages in order: detector, 2D features with one decoder for all objects, a decoder
     for each object, volume (of `mid`). Two more build on the 2D features and need a dataset
     that was generated with --depth: cascade (of `early`) and points (of `rgbd`); with --init they
-    are added to finished weights. Each stage writes checkpoints into --out; the same command
-    continues where a killed run stopped. On two cores the default takes about three hours; with
-    --init linemod, which keeps the 2D features, half an hour for one object.
+    are added to trained weights. Each stage writes checkpoints into --out; the same command
+    resumes after a kill. On two cores the default takes about three hours; with --init linemod,
+    which keeps the 2D features, half an hour for one object.
 
-    On several processes: `torchrun --nproc-per-node=W -m two_view_pose train-estimator ...` takes
-    batches W times as large, and averages the gradients of their W parts; --out is one folder for
-    all. So that as many samples are seen, divide the steps by W. Each process takes a GPU of its
-    own, and batch norms see the whole batch; without GPUs, each its own part. A run may be resumed
-    with another number of processes.
+    On several processes: `torchrun --nproc-per-node=W -m two_view_pose train-estimator ...`
+    averages the gradients of W batches, one per process; divide the steps by W to see as many
+    samples. --out is one folder for all. Each process takes its own GPU, and batch norms see the
+    whole batch; without GPUs, each its own part. A run may resume with another number of
+    processes.
     """
 
     data: Path
@@ -77,20 +73,19 @@ class TrainEstimatorConfig:
     out: Path
     """Folder for checkpoints, log and the finished weights (OUT/weights.safetensors)."""
     objects: tuple[str, ...] = ()
-    """Objects to train, by name or path of a mesh (NAME=FILE calls one so); none = the models that
-    the dataset was made of, or our 13 where it was made of some of these, or has no models."""
+    """Objects to train, by name or mesh file (NAME=FILE names a mesh). None = the objects that the
+    dataset was generated for; the 13 built-in ones if it shows only these, or has no models."""
     split: str = "train_pbr"
-    """Folder of the dataset that holds the scenes; `train_real` in many datasets of others."""
+    """Split of the dataset to train on; `train_real` in many BOP datasets."""
     stages: tuple[str, ...] = ()
-    """Which stages to run: detector, features, decoders, volume, cascade, points. They run in this
-    order. None = the first four; with --init, whose 2D features are kept, detector, decoders and
-    volume."""
+    """Stages to run, in this order: detector, features, decoders, volume, cascade, points. None =
+    the first four; with --init, whose 2D features are kept, detector, decoders and volume."""
     detector_steps: int | None = None
     """Batches of 16 frames; none = 1200, with --init 500."""
     feature_steps: int | None = None
     """Batches of 32 crops; none = 10000."""
     decoder_steps: int | None = None
-    """Batches of 32 crops of one object each; none = 1000 for each object, 2000 at least."""
+    """Batches of 32 crops of one object each; none = 1000 for each object, at least 2000."""
     volume_steps: int | None = None
     """Batches of 12 pairs of crops, of 2 with `--preset paper`; none = 3000, with --init 1000."""
     cascade_steps: int | None = None
@@ -98,85 +93,78 @@ class TrainEstimatorConfig:
     points_steps: int | None = None
     """Batches of 32 crops with depth; none = 4000."""
     tune_encoder: bool = False
-    """Let the encoder go on learning in the stage decoders: that takes twice as long for each
-    batch, and where images are hard for the encoder, as with `--augmentation strong`, it ends at
-    smaller errors."""
+    """Train the encoder in the stage decoders too. A step takes twice as long; errors are smaller
+    where images are hard for the encoder, as with `--augmentation strong`."""
     learning_rate: float = 1.0
     """Multiplies every stage's learning rate."""
     lr_cycles: int = 1
     """Cosine cycles of each stage's learning rate; the weights at the ends of the cycles are
-    averaged. Two cycles of half the length help where the test is unlike the training, as
-    photographs are unlike renders."""
+    averaged (SWA). Two cycles of half the length help against a domain gap, as from renders to
+    photographs."""
     preset: str = "fast"
     """Volumes of the Mid-Fusion: `fast` or `paper`, which has the paper's grids, layers and losses.
-    `--preset paper --stages volume --init linemod` trains such a volume alone, on finished 2D
-    features: about two seconds a step on two cores, two to three hours for 4000."""
+    `--preset paper --stages volume --init linemod` trains only that volume, on trained 2D features:
+    about two seconds a step on two cores."""
     pose_noise: tuple[float, float] = (0.0, 0.0)
-    """Largest error of the relative camera pose that the volume is given in training: degrees and
-    millimeters."""
+    """Maximum error of the volume's relative camera pose in training: degrees and millimeters."""
     pose_loss: float = 1.0
-    """Weight of the pose loss in the volume's training; 0 trains without it."""
+    """Weight of the pose loss in the volume's training; 0 turns it off."""
     cut_and_paste: float = 0.0
-    """Probability that another object is pasted over a crop, and that its background is replaced by
-    a piece of another image."""
+    """Probability that another object is pasted over a crop, and that its background is replaced
+    by part of another image."""
     augmentation: Literal["mild", "strong"] = "mild"
-    """How much images are augmented. Mild: as for rendered ones. Strong: for real images; any
-    light, blur, noise and colors, jittered regions of interest, and half of --cut-and-paste's new
-    backgrounds are drawn collages."""
+    """Strength of the image augmentation. Mild: for rendered test images. Strong: for real ones;
+    varied light, blur, noise and colors, jittered ROIs, and half of --cut-and-paste's backgrounds
+    are drawn collages."""
     init: str | None = None
     """Weights to start from instead of ImageNet: the name of shipped ones, or a .safetensors file.
-    What is not trained is kept. Of other objects' weights, or those of another preset, the parts
-    are loaded that fit, and what these are is printed."""
+    Stages that are not run keep them. If they are of other objects or another preset, the
+    compatible parts are loaded and printed."""
     store_meshes: bool = True
-    """Store the meshes of your own objects with the weights. --no-store-meshes is for meshes that
-    must not be passed on: the weights then hold keypoints, symmetries and sizes alone."""
+    """Store the meshes of your own objects with the weights. With --no-store-meshes, for meshes
+    that must not be redistributed, they hold keypoints, symmetries and sizes only."""
     attribution: str = ""
-    """Whose objects and data these are, for the header of the weights."""
+    """Attribution of objects and data, for the header of the weights."""
     pretrained: bool = True
     """Start the encoders from ImageNet (needs the extra `train`)."""
     validation: float = 0.03
-    """Fraction of the scenes that is held out."""
+    """Fraction of the scenes held out for validation."""
     seed: int = 0
     """Random seed."""
     device: str = "auto"
     """Where the networks run: auto (a GPU where there is one), cpu, cuda, cuda:N or mps."""
     threads: int = 0
-    """Threads for the networks; 0 = as many as there are cores, which processes of `torchrun` on
-    one machine share evenly."""
+    """Threads for the networks; 0 = all cores, shared evenly by `torchrun` processes on a
+    machine."""
     workers: int | None = None
-    """Processes that draw and augment the images of each training process; 0 = itself. None = one
-    for a processor; for a GPU as many as there are cores, less one, 16 at most. Each holds 4 MiB
-    batches in shared memory (docker run --shm-size=1g)."""
+    """Data loading workers of each training process; 0 = the process itself. None = one on a CPU;
+    on a GPU the number of cores minus one, at most 16. Each holds 4 MiB batches in shared memory
+    (docker run --shm-size=1g)."""
     compile: bool = False
-    """Compile the networks with torch.compile, which needs a C++ compiler. On two cores with AVX2 a
-    step of the stage features took 1.4 s so and 1.3 s without, and compiling two minutes; on a GPU
-    it was not measured."""
+    """Compile the networks with torch.compile, which needs a C++ compiler. On two cores with AVX2
+    it was no faster (a step of the stage features: 1.4 s, without 1.3 s); not measured on a
+    GPU."""
     max_minutes: float = 0.0
-    """Stop after so many minutes, counted from the start of the command, and write the weights as
-    they then are; the same command resumes. 0 = train to the end."""
+    """Stop after this many minutes, counted from the start of the command, and write the current
+    weights; the same command resumes. 0 = no limit."""
     checkpoint_every: float = 120.0
     """Seconds between checkpoints."""
     resume: bool = True
-    """Continue from the checkpoints in --out; --no-resume starts over."""
+    """Resume from the checkpoints in --out; --no-resume starts over."""
     json: Path | None = None
     """Write the held-out figures as a results file."""
 
     def __post_init__(self) -> None:
-        for name, values in (("pose_noise", self.pose_noise), ("pose_loss", (self.pose_loss,))):
-            if not all(0 <= value < math.inf for value in values):
-                raise InputError(f"{name} must be finite and at least 0, got {getattr(self, name)}")
-        for option in _STEP_OPTIONS.values():
-            steps = getattr(self, option)
-            if steps is not None and steps < 1:
-                raise InputError(f"{option} must be at least 1, got {steps}")
-        if self.workers is not None and self.workers < 0:
-            raise InputError(f"workers must be at least 0, got {self.workers}")
-        if not 0 <= self.max_minutes < math.inf:
-            raise InputError(f"max_minutes must be finite and at least 0, got {self.max_minutes}")
-        if self.lr_cycles < 1:
-            raise InputError(f"lr_cycles must be at least 1, got {self.lr_cycles}")
-        if not 0 <= self.cut_and_paste <= 1:
-            raise InputError(f"cut_and_paste must be 0 to 1, got {self.cut_and_paste}")
+        steps = [
+            name for name in map(_steps_option, STAGE_DEFAULTS) if getattr(self, name) is not None
+        ]
+        require_within(self, 1, math.inf, "lr_cycles", *steps)
+        require_within(self, 0, math.inf, "pose_loss", "max_minutes")
+        require_within(self, 0, 1, "cut_and_paste")
+        if self.workers is not None:
+            require_within(self, 0, math.inf, "workers")
+        if not all(0 <= value < math.inf for value in self.pose_noise):
+            raise InputError(f"pose_noise must be finite and >= 0, got {self.pose_noise}")
         if self.augmentation not in ("mild", "strong"):
             raise InputError(f"augmentation must be mild or strong, got {self.augmentation!r}")
         unknown = [stage for stage in self.stages if stage not in STAGE_DEFAULTS]
@@ -185,27 +173,19 @@ class TrainEstimatorConfig:
 
     @property
     def chosen_stages(self) -> tuple[str, ...]:
-        """The stages to run: ``stages``, or where it is empty, those that are usually needed."""
+        """The stages to run: ``stages``, or the default ones if it is empty."""
         first = ("detector",) if self.init is not None else ("detector", "features")
         return self.stages or (*first, "decoders", "volume")
 
     def stage(self, name: str, objects: int) -> StageSettings:
-        """How a stage is trained.
-
-        Args:
-            name: one of ``STAGE_DEFAULTS``.
-            objects: how many objects are trained.
-        """
+        """Returns the settings of a stage for a training of so many objects."""
         settings = STAGE_DEFAULTS[name]
         if name == "volume" and self.preset == "paper":
             settings = PAPER_VOLUME
-        steps = getattr(self, _STEP_OPTIONS[name])
+        steps = getattr(self, _steps_option(name))
         if steps is None and name == "decoders":
             steps = max(_MIN_DECODER_STEPS, settings.steps * objects)
         elif steps is None and self.init is not None:
             steps = _STEPS_WITH_INIT.get(name)
-        return StageSettings(
-            steps=settings.steps if steps is None else steps,
-            batch=settings.batch,
-            learning_rate=settings.learning_rate * self.learning_rate,
-        )
+        rate = settings.learning_rate * self.learning_rate
+        return replace(settings, steps=steps or settings.steps, learning_rate=rate)

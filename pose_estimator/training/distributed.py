@@ -1,12 +1,12 @@
-"""Several processes that train one set of weights, started by ``torchrun``.
+"""Training one set of weights on several processes, started by ``torchrun``.
 
 Each process draws its share of a batch and PyTorch's DistributedDataParallel averages their
 gradients (Li et al., "PyTorch Distributed", VLDB 2020). On GPUs batch norms normalize by the whole
-batch (SyncBatchNorm). PyTorch has no such batch norm for processors: there each process normalizes
-by its own share, and the first one's running statistics are kept. A loss that is a quotient of sums
-over a batch, the detector's, is each share's own in both.
+batch (SyncBatchNorm). PyTorch has no SyncBatchNorm for CPUs: there each process normalizes by its
+own share, and rank 0's running statistics are kept. The detector's loss, a quotient of sums over a
+batch, is computed per share on both.
 
-Without ``torchrun``, or with one process, every function here does nothing, or the same at once.
+Without ``torchrun`` every function here does nothing, or returns at once.
 """
 
 from __future__ import annotations
@@ -29,20 +29,19 @@ from ...core.errors import InputError
 _Result = TypeVar("_Result")
 
 _TIMEOUT = timedelta(days=1)
-"""How long processes wait for the first, which packs data and validates while they do; that one of
-them ended is noticed at once."""
+"""Other ranks wait while rank 0 packs data and validates; a rank that ended is noticed at once."""
 
 
-def own_device(asked: str) -> torch.device:
-    """The device of this process: of several on one machine, each takes a GPU of its own.
+def rank_device(requested: str) -> torch.device:
+    """Returns the device of this process: each rank on a machine takes a GPU of its own.
 
     Args:
-        asked: see :func:`resolve_device`.
+        requested: see :func:`resolve_device`.
 
     Raises:
-        InputError: if there is no such device, or not one for each process.
+        InputError: if there is no such device, or fewer GPUs than ranks.
     """
-    device = resolve_device(asked)
+    device = resolve_device(requested)
     if int(os.environ.get("WORLD_SIZE", "1")) < 2 or device.type == "cpu":
         return device
     if device.type != "cuda":
@@ -55,7 +54,7 @@ def own_device(asked: str) -> torch.device:
     number, gpus = int(os.environ.get("LOCAL_RANK", "0")), torch.cuda.device_count()
     if number >= gpus:
         raise InputError(
-            f"torchrun started {_ranks_on_this_machine()} processes on a machine with {gpus} GPUs: "
+            f"torchrun started {_local_world_size()} processes on a machine with {gpus} GPUs: "
             f"give --nproc-per-node={gpus}, or --device cpu"
         )
     return torch.device("cuda", number)
@@ -63,19 +62,16 @@ def own_device(asked: str) -> torch.device:
 
 @contextlib.contextmanager
 def process_group(device: torch.device) -> Iterator[None]:
-    """Joins the processes that ``torchrun`` started, and leaves them in the end, on errors too.
+    """Joins the process group of ``torchrun``; leaves it at the end and on errors.
 
-    All but the first print nothing: what they would say is the same.
-
-    Args:
-        device: of this process.
+    Only rank 0 prints: the output of the others would be the same.
     """
     if device.type == "cuda":
         torch.cuda.set_device(device)
     if int(os.environ.get("WORLD_SIZE", "1")) < 2 or "RANK" not in os.environ or _joined():
         yield
         return
-    # What is said beside gradients stays on the processor, and waits for no GPU.
+    # Communication other than gradients stays on the CPU and does not synchronize with a GPU.
     backend = "cpu:gloo,cuda:nccl" if device.type == "cuda" else "gloo"
     dist.init_process_group(backend, timeout=_TIMEOUT)
     try:
@@ -84,7 +80,7 @@ def process_group(device: torch.device) -> Iterator[None]:
                 nothing = stack.enter_context(open(os.devnull, "w"))
                 stack.enter_context(contextlib.redirect_stdout(nothing))
             yield
-            agreed(True)  # a process that ends earlier would look like one that failed
+            broadcast_decision(True)  # a rank that ends earlier would look like one that failed
     finally:
         dist.destroy_process_group()
 
@@ -94,49 +90,46 @@ def _joined() -> bool:
 
 
 def rank() -> int:
-    """The number of this process; the first, 0, alone writes files."""
+    """The rank of this process; only rank 0 writes files."""
     return dist.get_rank() if _joined() else 0
 
 
 def world_size() -> int:
-    """How many processes train together."""
+    """The number of processes that train together."""
     return dist.get_world_size() if _joined() else 1
 
 
-def _ranks_on_this_machine() -> int:
-    """How many processes train together on this machine."""
+def _local_world_size() -> int:
+    """The number of ranks on this machine."""
     return int(os.environ.get("LOCAL_WORLD_SIZE", world_size()))
 
 
 def threads_per_rank() -> int:
-    """This process's share of the cores, at least 1.
-
-    ``torchrun`` itself would give each process one thread, however many cores there are.
-    """
-    return max(1, available_cores() // _ranks_on_this_machine())
+    """This rank's share of the cores, at least 1; ``torchrun`` would set one thread per rank."""
+    return max(1, available_cores() // _local_world_size())
 
 
-def agreed(decision: bool) -> bool:
-    """The first process's decision, in all of them."""
+def broadcast_decision(decision: bool) -> bool:
+    """Returns rank 0's decision on all ranks."""
     if not _joined():
         return decision
-    said = torch.tensor([decision], dtype=torch.uint8, device="cpu")
-    dist.broadcast(said, 0)
-    return bool(said)
+    shared = torch.tensor([decision], dtype=torch.uint8, device="cpu")
+    dist.broadcast(shared, 0)
+    return bool(shared)
 
 
 def rank_zero_first(work: Callable[[], _Result]) -> _Result:
-    """Does in all processes what leaves files behind: first in one, then in the others.
+    """Runs work that leaves files behind on rank 0, then on the other ranks.
 
     Raises:
-        InputError: in the others, if the first failed, which says why itself.
+        InputError: on the other ranks, if rank 0 failed.
     """
     done = False
     try:
         result = work() if rank() == 0 else None
         done = True
     finally:
-        done = agreed(done)
+        done = broadcast_decision(done)
     if rank() == 0:
         return result  # type: ignore[return-value]
     if not done:
@@ -145,7 +138,7 @@ def rank_zero_first(work: Callable[[], _Result]) -> _Result:
 
 
 def check_same_step(step: int) -> None:
-    """Raises ValueError if not all processes are at the same step of a training."""
+    """Raises InputError if the ranks are at different steps of a training."""
     if not _joined():
         return
     steps: list[Any] = [None] * world_size()
@@ -158,13 +151,13 @@ def check_same_step(step: int) -> None:
 
 
 def convert_sync_batchnorms(module: nn.Module) -> None:
-    """On GPUs, lets batch norms within a module see all processes' samples."""
+    """Converts the batch norms within a module to SyncBatchNorm on GPUs."""
     if world_size() > 1 and any(p.is_cuda for p in module.parameters()):
         nn.SyncBatchNorm.convert_sync_batchnorm(module)
 
 
-def in_parallel(module: nn.Module) -> nn.Module:
-    """The module with its gradients averaged over the processes."""
+def data_parallel(module: nn.Module) -> nn.Module:
+    """Wraps a module so that its gradients are averaged over the ranks."""
     if not _joined():
         return module
     # A batch of one object leaves the other objects' decoders without a gradient.
@@ -172,7 +165,7 @@ def in_parallel(module: nn.Module) -> nn.Module:
 
 
 def broadcast_weights(module: nn.Module) -> None:
-    """Gives every process the first one's weights and running statistics."""
+    """Copies rank 0's weights and running statistics to all ranks."""
     if not _joined():
         return
     for tensor in module.state_dict().values():

@@ -1,4 +1,4 @@
-"""Batches drawn ahead by workers: the same ones whatever came before, and however many draw."""
+"""Batches prefetched by workers: reproducible by number, for any number of workers."""
 
 from __future__ import annotations
 
@@ -20,43 +20,43 @@ Sample = Mapping[str, Any]
 Batch = dict[str, Tensor]
 """Samples as tensors (B, ...) by name."""
 
-Draw = Callable[..., Sample]
-"""Draws a sample with a ``np.random.Generator``; a second argument is what its batch shares."""
+SampleFunction = Callable[..., Sample]
+"""Draws a sample with a ``np.random.Generator``; a second argument is shared by its batch."""
 
 _MAX_WORKERS = 16
 
 
 class NumberedBatches(Dataset[Batch]):
-    """Batch n is the same whatever came before it, and in whichever process it is drawn.
+    """Batch n depends on the seed and n only, whichever process draws it.
 
     Args:
-        draw: makes one sample.
-        size: samples a batch, in each of the processes that train together.
-        seed: of everything drawn.
-        choose: draws what the samples of a batch share; None: nothing.
+        draw: draws one sample.
+        size: samples per batch of each rank.
+        seed: of the batches.
+        draw_shared: draws what the samples of a batch share, if anything.
     """
 
     def __init__(
         self,
-        draw: Draw,
+        draw: SampleFunction,
         size: int,
         seed: int,
-        choose: Callable[[np.random.Generator], Any] | None = None,
+        draw_shared: Callable[[np.random.Generator], Any] | None = None,
     ):
-        self.draw, self.size, self.seed, self.choose = draw, size, seed, choose
+        self.draw, self.size, self.seed, self.draw_shared = draw, size, seed, draw_shared
         self.rank, self.world_size = rank(), world_size()
 
     def __getitem__(self, number: int) -> Batch:
         rng = np.random.default_rng([self.seed, number])
-        shared = () if self.choose is None else (self.choose(rng),)
-        # W processes get what one with W * size samples gets, each its part.
+        shared = () if self.draw_shared is None else (self.draw_shared(rng),)
+        # W ranks together draw the batch of a single process with W * size samples.
         every = rng.spawn(self.size * self.world_size)
         own = every[self.rank * self.size : (self.rank + 1) * self.size]
         return collate([self.draw(generator, *shared) for generator in own])
 
 
 def collate(samples: Sequence[Sample]) -> Batch:
-    """Samples as one batch on the processor, whatever PyTorch's default device is."""
+    """Collates samples to a batch on the CPU, whatever PyTorch's default device is."""
     with torch.device("cpu"):
         return default_collate(list(samples))
 
@@ -64,15 +64,15 @@ def collate(samples: Sequence[Sample]) -> Batch:
 def load(
     batches: NumberedBatches, numbers: Sequence[int], workers: int, device: torch.device
 ) -> Generator[Batch, None, None]:
-    """Batches on a device, drawn ahead.
+    """Yields batches on a device, prefetched by workers.
 
-    Closing the iterator ends the workers; so does the end of this process, however it ends.
+    The workers end when the iterator is closed, and when this process ends for any reason.
 
     Args:
-        batches: what to draw.
-        numbers: which ones, in this order.
-        workers: processes that draw; 0: this one, when a batch is asked for.
-        device: where the batches go; to a GPU while it computes.
+        batches: the dataset.
+        numbers: numbers of the batches, in order.
+        workers: worker processes; 0 = draw in this one.
+        device: where the batches go.
     """
     loader = DataLoader(
         batches,
@@ -80,10 +80,10 @@ def load(
         sampler=numbers,
         num_workers=workers,
         pin_memory=device.type == "cuda",
-        worker_init_fn=_work_on_one_core,
+        worker_init_fn=_limit_threads,
         # A forked worker shares the dataset's memory, and starts at once.
         multiprocessing_context="fork" if workers and sys.platform == "linux" else None,
-        generator=torch.Generator("cpu"),  # else it would draw from the one that all share
+        generator=torch.Generator("cpu"),  # do not use the global one
     )
     iterator = iter(loader)
     try:
@@ -94,17 +94,17 @@ def load(
 
 
 def to_device(batch: Batch, device: torch.device) -> Batch:
-    """A batch on a device; from pinned memory that does not wait."""
+    """Copies a batch to a device, asynchronously from pinned memory."""
     return {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()}
 
 
 def default_workers(device: torch.device) -> int:
-    """How many workers feed a device: a GPU all cores but one, 16 at most; a processor one."""
+    """The number of workers for a device: one for a CPU; for a GPU all cores but one, up to 16."""
     if device.type == "cpu":
         return 1
     return min(_MAX_WORKERS, max(1, threads_per_rank() - 1))
 
 
-def _work_on_one_core(worker: int) -> None:
-    """Each worker is one of many: PyTorch gives it one thread, and this does the same to OpenCV."""
+def _limit_threads(worker: int) -> None:
+    """Gives OpenCV one thread in each worker, as PyTorch does for itself."""
     cv2.setNumThreads(0)

@@ -1,4 +1,4 @@
-"""What the networks are trained to minimize."""
+"""Training losses: heat maps, boxes, vector fields, keypoint distributions and poses."""
 
 from __future__ import annotations
 
@@ -26,11 +26,6 @@ def box_loss(regression: Tensor, target: Tensor, weight: Tensor) -> Tensor:
     """L1 loss of center offset and size where ``weight`` (B, N, H, W) is set."""
     difference = (regression - target).abs() * weight.unsqueeze(2)
     return difference.sum() / (3 * weight.sum()).clamp(min=1)
-
-
-def mask_loss(logits: Tensor, mask: Tensor) -> Tensor:
-    """Binary cross entropy of the visible mask, (B, G, G), targets in 0..1."""
-    return F.binary_cross_entropy_with_logits(logits, mask)
 
 
 def direction_loss(directions: Tensor, target: Tensor, mask: Tensor) -> Tensor:
@@ -70,7 +65,7 @@ def keypoint_loss(predicted: Tensor, keypoints: Tensor, scale: Tensor) -> Tensor
 
 
 def pose_loss(
-    rotation: Tensor, translation: Tensor, T_true: Tensor, scale: Tensor, alpha: float
+    rotation: Tensor, translation: Tensor, T_true: Tensor, scale: Tensor, alpha: float = 0.3
 ) -> Tensor:
     """The paper's pose loss, |t - t'| + alpha |R'R^T - I|_F, with t in units of ``scale``.
 
@@ -82,8 +77,8 @@ def pose_loss(
         alpha: weight of the rotation.
     """
     shift = torch.linalg.vector_norm(translation - T_true[:, :3, 3], dim=-1) / scale
-    turn = torch.linalg.matrix_norm(
-        T_true[:, :3, :3] @ rotation.transpose(1, 2)
-        - torch.eye(3, dtype=rotation.dtype, device=rotation.device)
+    identity = torch.eye(3, dtype=rotation.dtype, device=rotation.device)
+    rotation_error = torch.linalg.matrix_norm(
+        T_true[:, :3, :3] @ rotation.transpose(1, 2) - identity
     )
-    return (shift + alpha * turn).mean()
+    return (shift + alpha * rotation_error).mean()

@@ -1,10 +1,10 @@
-"""The optimizer of every training: Muon for convolutions, AdamW for the rest.
+"""The optimizer of all stages: Muon for convolutions, AdamW for the rest.
 
 Jordan et al., "Muon: An optimizer for hidden layers in neural networks", 2024: the momentum of a
 weight matrix is orthogonalized before it is applied, so that rare directions learn as fast as
-common ones. A convolution counts as the matrix of its filters. In trainings of 500 batches from
-ImageNet, it left the voted keypoints 9.8 pixels off on held-out crops, AdamW alone 17.2, and a step
-costs 8 percent more.
+common ones. A convolution counts as the matrix of its filters. After 500 batches from ImageNet the
+error of voted keypoints on held-out crops was 9.8 pixels, with AdamW alone 17.2; a step takes 8
+percent longer.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from ...core.device import uses_bfloat16
 _PREFIX = "optimizer."
 
 MIN_SIDE = 16
-"""Smaller matrices have too few directions to be worth it; AdamW takes them."""
+"""Minimum side of a matrix for Muon; AdamW updates smaller ones."""
 
 
 class Float32Muon(torch.optim.Muon):
     """Muon with its Newton-Schulz iteration in float32.
 
-    PyTorch's own runs in bfloat16, which a processor without such units emulates: there it took
-    more than half of a training's time. Weight decay is left out.
+    PyTorch's own runs in bfloat16, which CPUs without such units emulate: there it took more than
+    half of the training time. Without weight decay.
     """
 
     @torch.no_grad()
@@ -49,7 +49,7 @@ class Float32Muon(torch.optim.Muon):
 
 
 def _orthogonalized(matrix: Tensor, group: dict[str, Any]) -> Tensor:
-    """About the nearest matrix with orthonormal rows or columns, by Newton-Schulz steps."""
+    """Approximates the nearest matrix with orthonormal rows or columns (Newton-Schulz)."""
     if matrix.shape[0] > matrix.shape[1]:
         return _orthogonalized(matrix.T, group).T
     a, b, c = group["ns_coefficients"]
@@ -64,10 +64,10 @@ class HybridOptimizer:
     """Muon and AdamW with one learning rate (Muon's updates are scaled to AdamW's size).
 
     Args:
-        module: whose trainable parameters are optimized; first and last layers with few filters,
-            biases, norms and embeddings go to AdamW.
-        learning_rate: the maximum.
-        weight_decay: AdamW's.
+        module: whose trainable parameters are optimized; AdamW takes layers with few filters,
+            biases, norms and embeddings.
+        learning_rate: its maximum.
+        weight_decay: of AdamW.
     """
 
     def __init__(self, module: nn.Module, learning_rate: float, weight_decay: float = 1e-4):
@@ -81,7 +81,7 @@ class HybridOptimizer:
                 list(others.values()), learning_rate, weight_decay=weight_decay, foreach=True
             )
             self._optimizers.append((adamw, list(others)))
-        # Muon takes matrices only: these share the memory of the filters.
+        # Muon takes matrices only: views of the filters.
         self._matrices = [(p, nn.Parameter(_as_matrix(p))) for p in filters.values()]
         if filters:
             matrices = [matrix for _, matrix in self._matrices]
@@ -100,12 +100,12 @@ class HybridOptimizer:
             optimizer.step()
 
     def zero_grad(self) -> None:
-        """Forgets the gradients."""
+        """Clears the gradients."""
         for parameter in self.parameters:
             parameter.grad = None
 
     def state(self) -> dict[str, Tensor]:
-        """What a checkpoint needs beside the parameters, by name."""
+        """Returns the optimizer state for a checkpoint, by name."""
         return {
             f"{_PREFIX}{names[number]}.{key}": tensor
             for optimizer, names in self._optimizers
@@ -114,7 +114,7 @@ class HybridOptimizer:
         }
 
     def load_state(self, tensors: Mapping[str, Tensor]) -> None:
-        """Restores what :meth:`state` gave; parameters that are frozen now need no state."""
+        """Loads the result of :meth:`state`, ignoring parameters that are frozen now."""
         for optimizer, names in self._optimizers:
             numbers = {name: number for number, name in enumerate(names)}
             full = optimizer.state_dict()
@@ -132,7 +132,7 @@ def _is_filter_bank(parameter: Tensor) -> bool:
 
 
 def _as_matrix(tensor: Tensor, like: Tensor | None = None) -> Tensor:
-    """One row a filter, in the order of the memory of ``like``; a view where that is ``tensor``."""
+    """One row per filter, in the memory order of ``like``; a view if that is ``tensor``."""
     like = tensor if like is None else like
     tensor = tensor.detach()
     if not like.is_contiguous():  # channels last

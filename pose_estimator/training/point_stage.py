@@ -1,4 +1,4 @@
-"""The training of ``rgbd``'s points: single crops with depth, on top of frozen 2D features."""
+"""Training of ``rgbd``'s points: single crops with depth, on frozen 2D features."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ..networks.voting import vote
 from ..solvers.rigid import RigidMotions, solve
 from ..training_data.dataset import TrainingSet
 from ..training_data.depth_augmentation import DepthAugmentationConfig, augment_depth
-from ..training_data.target_sample import arrays_of, as_input
-from .loader import Batch, Draw, Sample
+from ..training_data.target_sample import as_input, target_arrays
+from .loader import Batch, Sample, SampleFunction
 from .losses import keypoint_loss, pose_loss
-from .stage_base import Answers, KeypointStage, table
+from .stage_base import KeypointStage, Predictions, padded_stack
 
 
 class PointStage(KeypointStage):
@@ -29,13 +29,14 @@ class PointStage(KeypointStage):
 
     def __init__(self, *args: Any, **kwargs: Any):
         super().__init__(*args, **kwargs)
-        self.symmetries = table([m.symmetries for m in self.train.models]).float().to(self.device)
+        symmetries = padded_stack([m.symmetries for m in self.train.models])
+        self.symmetries = symmetries.float().to(self.device)
 
-    def drawing(self, *, held_out: bool = False) -> Draw:
-        return partial(draw_with_sensor_noise, self.held_out if held_out else self.train)
+    def sample_function(self, source: TrainingSet) -> SampleFunction:
+        return partial(draw_with_sensor_noise, source)
 
     def forward(self, batch: Batch) -> dict[str, Any]:
-        """Runs a batch of crops; those with too few points are not ``enough``."""
+        """Runs a batch of crops; ``valid`` (B,) marks those with enough points."""
         networks = self.networks
         networks.features.eval()
         index, K = batch["object"], batch["K"]
@@ -46,26 +47,23 @@ class PointStage(KeypointStage):
         mask = torch.sigmoid(out.mask_logits.float())
         features = point_features(out.decoder, mask)
         maps = PointMaps(features, mean, covariance, self.to_grid @ K)
-        # Each crop has its own draws, wherever in a batch it stands.
+        # One generator per crop, so that its draws do not depend on the batch.
         draws = [torch.Generator("cpu").manual_seed(n) for n in batch["points_seed"].tolist()]
         cloud = sample_points(
             batch["depth"], mask, K, diameter, networks.points.config.points, draws
         )
-        enough = cloud.valid.sum(1) >= MIN_POINTS
         votes = networks.points(maps, cloud, index, diameter)
         T_true = self.nearest_equivalent(votes.keypoints, batch["T_cam_obj"], index)
-        truth = self.place(T_true, index)
         return {
-            "votes": votes, "cloud": cloud, "truth": truth, "T_true": T_true, "index": index,
-            "diameter": diameter, "enough": enough,
+            "votes": votes, "cloud": cloud, "truth": self.place(T_true, index), "T_true": T_true,
+            "index": index, "diameter": diameter, "valid": cloud.valid.sum(1) >= MIN_POINTS,
             "solution": solve(self.keypoints[index], votes.keypoints, diameter),
         }  # fmt: skip
 
     def nearest_equivalent(self, keypoints: Tensor, T_cam_obj: Tensor, index: Tensor) -> Tensor:
-        """The equivalent poses (B, 4, 4) of symmetric objects that keypoints (B, 9, 3) mean.
+        """Returns the symmetry-equivalent poses (B, 4, 4) nearest to keypoints (B, 9, 3).
 
-        All points of a cloud must mean the same pose; which of the equivalents it is, is theirs to
-        choose.
+        All points of a cloud vote for the same equivalent; the network is free to choose which.
         """
         poses = T_cam_obj[:, None] @ self.symmetries[index]
         placed = self.place(poses, index[:, None].expand(poses.shape[:2]))
@@ -75,47 +73,47 @@ class PointStage(KeypointStage):
     def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         self.networks.points.train()
         out = self.forward(batch)
-        keep, votes, solution = out["enough"], out["votes"], out["solution"]
+        keep, votes, solution = out["valid"], out["votes"], out["solution"]
         if not keep.any():
             nothing = 0 * (votes.candidates.sum() + votes.log_error.sum())
-            return nothing, dict.fromkeys(("offset", "sure", "distance", "pose"), nothing)
+            return nothing, dict.fromkeys(("offset", "confidence", "distance", "pose"), nothing)
         diameter, T_true, truth = (out[name][keep] for name in ("diameter", "T_true", "truth"))
-        offset, sure = vote_losses(
+        offset, confidence = vote_losses(
             PointVotes(*(part[keep] for part in votes)),
             truth @ out["cloud"].R_crop_cam[keep].mT,
             out["cloud"].valid[keep],
             diameter,
         )
         distance = keypoint_loss(votes.keypoints[keep], truth, diameter)
-        pose = pose_loss(
-            solution.rotation[keep], solution.translation[keep], T_true, diameter, alpha=0.3
-        )
-        total = 2.0 * offset + 0.2 * sure + 4.0 * distance + pose
-        return total, {"offset": offset, "sure": sure, "distance": distance, "pose": pose}
+        pose = pose_loss(solution.rotation[keep], solution.translation[keep], T_true, diameter)
+        total = 2.0 * offset + 0.2 * confidence + 4.0 * distance + pose
+        return total, {
+            "offset": offset, "confidence": confidence, "distance": distance, "pose": pose,
+        }  # fmt: skip
 
-    def answers(self, batch: Batch) -> Answers:
+    def predict(self, batch: Batch) -> Predictions:
         out = self.forward(batch)
-        keep = out["enough"]
+        keep = out["valid"]
         parts = (out["votes"].keypoints, out["truth"], out["T_true"], out["index"])
         keypoints, truth, T_true, index = (part[keep] for part in parts)
         motions = RigidMotions(*(part[keep] for part in out["solution"]))
-        return Answers(keypoints, motions, truth, T_true, index)
+        return Predictions(keypoints, motions, truth, T_true, index)
 
 
 def draw_with_sensor_noise(source: TrainingSet, rng: np.random.Generator) -> Sample:
-    """A random target, its depth with sensor noise, and a seed of which points are drawn."""
+    """Draws a target, its depth with sensor noise, and a seed for sampling its points."""
     sample = source.draw_target(rng)
     assert sample.depth is not None
-    drawn = arrays_of(sample)
-    del drawn["mask"], drawn["directions"]
+    arrays = target_arrays(sample)
+    del arrays["mask"], arrays["directions"]
     depth = augment_depth(sample.depth, DepthAugmentationConfig(), rng)
-    return {**drawn, "depth": depth, "points_seed": int(rng.integers(2**31))}
+    return {**arrays, "depth": depth, "points_seed": int(rng.integers(2**31))}
 
 
 def vote_losses(
     votes: PointVotes, truth: Tensor, valid: Tensor, diameter: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """How far the votes are off, and how well they know it.
+    """Returns the losses of the votes and of their predicted errors.
 
     Args:
         votes: of B crops.
@@ -125,11 +123,11 @@ def vote_losses(
 
     Returns:
         The mean error of a vote in diameters, and the negative log-likelihood of the errors under
-        Laplace distributions of the widths that the votes say. The latter is DenseFusion's
-        confidence loss (Wang et al., CVPR 2019, equation 2), with the inverse width as confidence;
-        it does not move the votes themselves.
+        Laplace distributions of the predicted widths: DenseFusion's confidence loss (Wang et al.,
+        CVPR 2019, equation 2) with the inverse width as confidence. The second has no gradient with
+        respect to the votes.
     """
-    miss = (votes.candidates - truth[:, None]).norm(dim=-1) / diameter[:, None, None]
-    likelihood = miss.detach() * torch.exp(-votes.log_error) + votes.log_error
+    error = (votes.candidates - truth[:, None]).norm(dim=-1) / diameter[:, None, None]
+    likelihood = error.detach() * torch.exp(-votes.log_error) + votes.log_error
     weight = valid[..., None] / valid.sum(1).clamp(min=1)[:, None, None]
-    return (weight * miss).sum(1).mean(), (weight * likelihood).sum(1).mean()
+    return (weight * error).sum(1).mean(), (weight * likelihood).sum(1).mean()

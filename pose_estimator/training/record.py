@@ -1,4 +1,4 @@
-"""What a training says of itself: its log, and the header of its weights."""
+"""The log of a training, and the header of its weights."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 
 class TrainingLog:
-    """What a training says of itself, one line of JSON at a time.
+    """A log file with one JSON object per line.
 
     Args:
-        path: the file; it is added to.
-        resume: whether the figures that it holds are those of this training.
+        path: the file; lines are appended.
+        resume: read the validation results that the file holds.
 
     Attributes:
-        held_out: the last figures on held-out data, by stage and name.
+        held_out: the latest validation results, as ``stage/metric``.
     """
 
     def __init__(self, path: Path, *, resume: bool = False):
@@ -33,25 +33,24 @@ class TrainingLog:
             try:
                 entry = json.loads(line)
             except json.JSONDecodeError:
-                continue  # a run was killed in the middle of it
+                continue  # a killed run may leave half a line
             self._remember(entry.pop("stage"), entry)
 
-    def __call__(self, stage: str, step: int, numbers: Mapping[str, float]) -> None:
-        """Adds a line; numbers are named ``train/...`` or ``held_out/...``."""
-        entry = {"stage": stage, "step": step, "time": round(time.time(), 1), **numbers}
+    def __call__(self, stage: str, step: int, values: Mapping[str, float]) -> None:
+        """Appends a line; values are named ``train/...`` or ``held_out/...``."""
+        entry = {"stage": stage, "step": step, "time": round(time.time(), 1), **values}
         with open(self._path, "a") as file:
             file.write(json.dumps(entry) + "\n")
-        self._remember(stage, numbers)
+        self._remember(stage, values)
 
-    def _remember(self, stage: str, numbers: Mapping[str, float]) -> None:
-        """Keeps what is held-out data's."""
-        for name, value in numbers.items():
-            kind, _, figure = name.partition("/")
+    def _remember(self, stage: str, values: Mapping[str, float]) -> None:
+        for name, value in values.items():
+            kind, _, metric = name.partition("/")
             if kind == "held_out":
-                self.held_out[f"{stage}/{figure}"] = value
+                self.held_out[f"{stage}/{metric}"] = value
 
     def write_results(self, config: TrainEstimatorConfig) -> None:
-        """Writes the figures on held-out data as a results file."""
+        """Writes the validation results as a results file."""
         from ...core.results import write_results
 
         assert config.json is not None
@@ -68,13 +67,13 @@ def header(
     done: Mapping[str, int],
     held_out: Mapping[str, float],
 ) -> dict[str, Any]:
-    """What the weights say of their training.
+    """Returns the header of the weights.
 
     Args:
         config: of the training.
-        networks: as they are now.
-        done: the stages that are of this training, and the step that each is at.
-        held_out: figures on held-out data.
+        networks: the trained networks.
+        done: the stages of this training, and the step that each has reached.
+        held_out: validation results.
     """
     from ..networks.weights import find_weights, read_header
     from .distributed import world_size
@@ -110,7 +109,7 @@ def header(
 
 
 def describe_data(data: Path) -> Any:
-    """What the dataset says of itself."""
+    """Returns the dataset's name, and how it was generated where it has a manifest."""
     manifest = Path(data) / "manifest.json"
     if not manifest.is_file():
         return {"dataset": Path(data).name}

@@ -1,4 +1,4 @@
-"""What the stages of a training share: batches, held-out batches, tables of the objects."""
+"""Base classes of the training stages: batches, frozen features, validation of keypoints."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from ...assets.object_model import ObjectModel
 from ...core.device import uses_bfloat16
@@ -17,27 +17,27 @@ from ..evaluation.metrics import add_or_add_s
 from ..networks.container import PoseNetworks
 from ..solvers.rigid import RigidMotions
 from ..training_data.dataset import TrainingSet
-from .loader import Batch, Draw, NumberedBatches, collate, load, to_device
+from .loader import Batch, NumberedBatches, SampleFunction, collate, load, to_device
 
 
 class StageBase:
-    """What every stage holds.
+    """What :func:`run_stage` needs of a stage.
 
     Args:
-        networks: of which it trains a part, on the device where they are.
-        train: where its batches come from.
-        held_out: where it is validated.
-        steps: batches in all.
-        batch: samples in each, in each of the processes that train together.
+        networks: on the device where they are trained.
+        train: the training set.
+        held_out: the validation set.
+        steps: number of batches.
+        batch: samples per batch of each rank.
         learning_rate: its maximum.
         seed: of the batches.
-        workers: processes that draw them, see :func:`load`.
+        workers: see :func:`load`.
 
     Attributes:
         name: of the stage.
-        part: of the networks, which it trains.
+        part: the part of the networks that it trains.
         needs_depth: whether its dataset must have depth maps.
-        validation: how many held-out batches are measured, and the samples in each.
+        validation: number of held-out batches, and samples per batch.
     """
 
     name: str
@@ -61,25 +61,20 @@ class StageBase:
         self.bfloat16 = uses_bfloat16(self.device)
 
     @property
-    def network(self) -> Any:
-        """The network that this stage is about."""
+    def module(self) -> Any:
+        """The module that is trained."""
         return getattr(self.networks, self.part)
 
-    @property
-    def module(self) -> nn.Module:
-        """What is trained."""
-        return self.network
-
-    def drawing(self, *, held_out: bool = False) -> Draw:
-        """What draws a sample; of functions and data alone, so that it can go to a worker."""
+    def sample_function(self, source: TrainingSet) -> SampleFunction:
+        """Returns what draws a sample from a training set; picklable, for the workers."""
         raise NotImplementedError
 
-    def choosing(self) -> Callable[[np.random.Generator], int] | None:
-        """What draws the one thing that the samples of a batch have in common, if any."""
+    def shared_function(self) -> Callable[[np.random.Generator], int] | None:
+        """Returns what draws the value that the samples of a batch share, if any."""
         return None
 
     def batches(self, start: int) -> Generator[Batch, None, None]:
-        """Batches from number ``start`` to the last, on the device.
+        """Returns the batches from number ``start`` to the last, on the device.
 
         Raises:
             InputError: if the stage needs depth maps, and the dataset has none.
@@ -89,31 +84,32 @@ class StageBase:
                 f"the stage {self.name} needs depth maps, and the dataset has none: make one with "
                 "python -m two_view_pose generate --depth"
             )
-        drawn = NumberedBatches(self.drawing(), self.batch, self.seed, self.choosing())
-        return load(drawn, range(start, self.steps), self.workers, self.device)
+        draw, draw_shared = self.sample_function(self.train), self.shared_function()
+        batches = NumberedBatches(draw, self.batch, self.seed, draw_shared)
+        return load(batches, range(start, self.steps), self.workers, self.device)
 
     def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss of a batch, and its parts for the log."""
+        """Returns the loss of a batch, and its terms by name for the log."""
         raise NotImplementedError
 
     def validate(self) -> dict[str, float]:
-        """Numbers on held-out scenes."""
+        """Returns metrics on the validation set, by name."""
         raise NotImplementedError
 
     def held_out_batches(self) -> Iterator[Batch]:
-        """The same batches of held-out samples each time, on the device."""
-        draw, rng = self.drawing(held_out=True), np.random.default_rng(1)
+        """Yields the validation batches, the same each time, on the device."""
+        draw, rng = self.sample_function(self.held_out), np.random.default_rng(1)
         count, size = self.validation
         for _ in range(count):
             yield to_device(collate([draw(rng) for _ in range(size)]), self.device)
 
     def autocast(self) -> torch.autocast:
-        """bfloat16 where the device is fast at it."""
+        """Autocast to bfloat16 where the device is fast at it."""
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self.bfloat16)
 
 
 class FrozenFeatureStage(StageBase):
-    """A network on top of the 2D features, which stay as they are.
+    """A network on top of frozen 2D features.
 
     Attributes:
         keypoints: (N, 9, 3) of the N objects, m.
@@ -131,19 +127,19 @@ class FrozenFeatureStage(StageBase):
         )
 
     def place(self, T_cam_obj: Tensor, index: Tensor) -> Tensor:
-        """Keypoints (..., 9, 3) of objects (...) in poses (..., 4, 4)."""
+        """Returns the keypoints (..., 9, 3) of objects (...) in poses (..., 4, 4)."""
         return self.keypoints[index] @ T_cam_obj[..., :3, :3].mT + T_cam_obj[..., None, :3, 3]
 
 
-class Answers(NamedTuple):
-    """What a network says of the poses of a batch, and the truth.
+class Predictions(NamedTuple):
+    """Predicted and true keypoints and poses of a batch.
 
     Attributes:
         keypoints: (B, 9, 3), m.
         motions: B poses.
         truth: (B, 9, 3) true keypoints, m.
         T_true: (B, 4, 4).
-        objects: (B,) which object each is of.
+        objects: (B,) object indices.
     """
 
     keypoints: Tensor
@@ -154,46 +150,46 @@ class Answers(NamedTuple):
 
 
 class KeypointStage(FrozenFeatureStage):
-    """A network that says where the keypoints are in space."""
+    """A network that predicts 3D keypoints."""
 
-    def answers(self, batch: Batch) -> Answers:
-        """Runs a held-out batch."""
+    def predict(self, batch: Batch) -> Predictions:
+        """Runs a validation batch."""
         raise NotImplementedError
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
         """3D keypoint distance over the diameter, and ADD(-S) recall."""
-        self.network.eval()
+        getattr(self.networks, self.part).eval()
         errors: list[np.ndarray] = []
         hits: list[bool] = []
         for batch in self.held_out_batches():
-            answers = self.answers(batch)
-            distance = (answers.keypoints - answers.truth).norm(dim=-1).mean(1)
-            errors.append((distance / self.diameters[answers.objects]).cpu().numpy())
-            hits += poses_correct(answers, self.held_out.models)
+            predictions = self.predict(batch)
+            distance = (predictions.keypoints - predictions.truth).norm(dim=-1).mean(1)
+            errors.append((distance / self.diameters[predictions.objects]).cpu().numpy())
+            hits += poses_correct(predictions, self.held_out.models)
         return {
             "keypoint_over_diameter": float(np.mean(np.concatenate(errors))),
             "add_recall": float(np.mean(hits)),
         }
 
 
-def poses_correct(answers: Answers, models: Sequence[ObjectModel]) -> list[bool]:
+def poses_correct(predictions: Predictions, models: Sequence[ObjectModel]) -> list[bool]:
     """Whether each pose's ADD, or ADD-S on a symmetric object, is below a tenth of the diameter."""
     correct = []
     rotations, translations, truths = (
-        part.cpu().numpy().astype(np.float64) for part in (*answers.motions, answers.T_true)
+        part.cpu().numpy().astype(np.float64) for part in (*predictions.motions, predictions.T_true)
     )
-    indices = answers.objects.tolist()
+    indices = predictions.objects.tolist()
     for R, t, T_true, index in zip(rotations, translations, truths, indices, strict=True):
         model = models[index]
-        found = np.isfinite(R).all() and np.isfinite(t).all()
-        error = add_or_add_s(make_transform(R, t), T_true, model) if found else np.inf
+        finite = np.isfinite(R).all() and np.isfinite(t).all()
+        error = add_or_add_s(make_transform(R, t), T_true, model) if finite else np.inf
         correct.append(bool(error < 0.1 * model.diameter))
     return correct
 
 
-def table(of_objects: Sequence[np.ndarray]) -> Tensor:
-    """Arrays (n, ...) of N objects as one (N, n_max, ...), padded with each one's first row."""
-    most = max(len(own) for own in of_objects)
-    full = [np.concatenate([own, own[:1].repeat(most - len(own), 0)]) for own in of_objects]
+def padded_stack(arrays: Sequence[np.ndarray]) -> Tensor:
+    """Stacks N arrays (n, ...) to (N, n_max, ...), padding each with its first row."""
+    longest = max(map(len, arrays))
+    full = [np.concatenate([rows, rows[:1].repeat(longest - len(rows), 0)]) for rows in arrays]
     return torch.from_numpy(np.stack(full))

@@ -1,58 +1,56 @@
-"""The stages that train on single images: detector and 2D features."""
+"""Training stages on single images: detector and 2D features."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from ...core.geometry import project, transform
 from ..networks.detector import DetectorConfig, decode
 from ..networks.voting import vote
 from ..training_data.dataset import TrainingSet
-from ..training_data.target_sample import arrays_of, as_input
-from .loader import Batch, Draw, Sample
-from .losses import box_loss, direction_loss, heat_map_loss, mask_loss
+from ..training_data.target_sample import as_input, target_arrays
+from .loader import Batch, Sample, SampleFunction
+from .losses import box_loss, direction_loss, heat_map_loss
 from .stage_base import StageBase
 
 
 class DetectorStage(StageBase):
-    """Center heat maps on whole frames."""
+    """Center heat maps on full frames."""
 
     name = part = "detector"
     validation = (40, 1)
 
-    def drawing(self, *, held_out: bool = False) -> Draw:
-        source = self.held_out if held_out else self.train
+    def sample_function(self, source: TrainingSet) -> SampleFunction:
         return partial(draw_frame, source, self.networks.detector.config)
 
     def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         self.module.train()
         with self.autocast():
             logits, predicted = self.module(as_input(batch["image"]))
-        heat_part = heat_map_loss(logits.float(), batch["heat"])
-        box_part = box_loss(predicted.float(), batch["regression"], batch["weight"])
-        return heat_part + box_part, {"heat": heat_part, "box": box_part}
+        heat = heat_map_loss(logits.float(), batch["heat"])
+        box = box_loss(predicted.float(), batch["regression"], batch["weight"])
+        return heat + box, {"heat": heat, "box": box}
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
-        """How far detections are from the truth, in sides of the region of interest."""
+        """Errors of center and (log) size in units of the ROI's side, and the miss rate."""
         self.module.eval()
         config = self.networks.detector.config
         errors, sizes = [], []
         for frame in self.held_out_batches():
             with self.autocast():
-                logits, predicted = self.module(as_input(frame["image"]))
+                outputs = self.module(as_input(frame["image"]))
+            targets = (frame[name] for name in ("heat", "regression", "weight"))
             logits, predicted, heat, regression, weight = (
-                part[0].float().cpu().numpy()
-                for part in (
-                    logits, predicted, frame["heat"], frame["regression"], frame["weight"]
-                )
-            )  # fmt: skip
+                part[0].float().cpu().numpy() for part in (*outputs, *targets)
+            )
             for index in np.flatnonzero(weight.any((1, 2))):
                 found = decode(logits[index], predicted[index], np.eye(3), config)
                 true = decode(heat[index] * 20 - 10, regression[index], np.eye(3), config)
@@ -66,26 +64,26 @@ class DetectorStage(StageBase):
 
 
 class CropStage(StageBase):
-    """What is the same whether the 2D network has one decoder or many: its loss and its measure."""
+    """Segmentation and vector fields on single crops: loss and validation."""
 
     part = "features"
 
-    def drawing(self, *, held_out: bool = False) -> Draw:
-        return partial(draw_crop, self.held_out if held_out else self.train)
+    def sample_function(self, source: TrainingSet) -> SampleFunction:
+        return partial(draw_crop, source)
 
     def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         self.module.train()
         with self.autocast():
             out = self.module(as_input(batch["crop"]), batch["object"])
-        mask_part = mask_loss(out.mask_logits.float(), batch["mask"])
-        direction_part = direction_loss(
+        mask = F.binary_cross_entropy_with_logits(out.mask_logits.float(), batch["mask"])
+        direction = direction_loss(
             out.directions.float(), batch["directions"], (batch["mask"] > 0.4).float()
         )
-        return mask_part + 2 * direction_part, {"mask": mask_part, "direction": direction_part}
+        return mask + 2 * direction, {"mask": mask, "direction": direction}
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
-        """Distance of voted keypoints from the (nearest equivalent) truth in crop pixels."""
+        """Distance of voted keypoints from the nearest equivalent truth in crop pixels."""
         self.module.eval()
         stride = self.networks.features.config.stride
         errors: list[np.ndarray] = []
@@ -114,7 +112,7 @@ class CropStage(StageBase):
 
 
 class FeatureStage(CropStage):
-    """Segmentation and vector fields on single crops, by one decoder for all objects."""
+    """One decoder shared by all objects."""
 
     name = "features"
 
@@ -124,11 +122,11 @@ class FeatureStage(CropStage):
 
 
 class DecoderStage(CropStage):
-    """A decoder for each object, each on its own crops.
+    """One decoder per object, each trained on crops of its object.
 
     Args:
         args: of :class:`StageBase`.
-        tune_encoder: whether what the decoders share goes on learning; else it stays as it is.
+        tune_encoder: train the encoder and the object embedding too instead of freezing them.
         kwargs: of :class:`StageBase`.
     """
 
@@ -143,21 +141,17 @@ class DecoderStage(CropStage):
         for part in (features.encoder, features.embedding, features.film16, features.film4):
             part.requires_grad_(False)
 
-    def choosing(self) -> Callable[[np.random.Generator], int]:
-        """Batches are of one object each: a batch norm must not see others."""
-        return partial(_choose, self.train.known)
+    def shared_function(self) -> Callable[[np.random.Generator], int]:
+        """A batch shows one object, since the decoders' batch norms must not see others."""
+        return self.train.draw_object
 
 
 def draw_frame(source: TrainingSet, config: DetectorConfig, rng: np.random.Generator) -> Sample:
-    """A whole frame and what the detector should say of it."""
+    """Draws a full frame and the detector's targets."""
     names = ("image", "heat", "regression", "weight")
     return dict(zip(names, source.draw_frame(rng, config), strict=True))
 
 
 def draw_crop(source: TrainingSet, rng: np.random.Generator, index: int | None = None) -> Sample:
-    """A crop of an object; without ``index`` each object is equally likely."""
-    return arrays_of(source.draw_target(rng, index, with_depth=False))
-
-
-def _choose(known: Sequence[int], rng: np.random.Generator) -> int:
-    return int(rng.choice(known))
+    """Draws a crop of an object; without ``index`` each object is equally likely."""
+    return target_arrays(source.draw_target(rng, index, with_depth=False))

@@ -1,4 +1,4 @@
-"""``train-estimator``: from a folder of rendered images to weights that can be loaded."""
+"""The command ``train-estimator``: trains the stages in order and writes the weights file."""
 
 from __future__ import annotations
 
@@ -24,51 +24,45 @@ if TYPE_CHECKING:
     from .stage_base import StageBase
 
 _FROZEN_ENCODER_STAGES = 2
-"""Stages of pretrained encoders that stay as they are: fewer learn more, more are quicker."""
+"""Frozen stages of pretrained encoders; more of them train faster and learn less."""
 
 
 def train_estimator(config: TrainEstimatorConfig) -> Path:
-    """Trains and saves weights.
-
-    Returns:
-        The weights file.
+    """Trains and returns the path of the weights file.
 
     Raises:
-        InputError: if the configuration or the data is wrong, or there is no dataset, or no such
-            device.
+        InputError: if the configuration or the data is wrong, or there is no such device.
     """
     deadline = time.monotonic() + 60 * config.max_minutes if config.max_minutes else math.inf
     config = replace(config, data=find_dataset(config.data), stages=config.chosen_stages)
-    from .distributed import own_device, process_group
+    from .distributed import process_group, rank_device
 
-    device = own_device(config.device)
+    device = rank_device(config.device)
     with process_group(device):
         return _train(config, device, deadline)
 
 
 def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) -> Path:
-    """Trains, in each of the processes that train together; the first writes the files."""
+    """Trains on each rank; rank 0 writes the files."""
     import torch
 
     from ...core.device import describe, uses_bfloat16
     from ..networks.weights import save_weights
     from .distributed import rank, rank_zero_first, threads_per_rank, world_size
-    from .trainer import tune_malloc
+    from .trainer import disable_malloc_trim
 
     if config.threads or world_size() > 1:
         torch.set_num_threads(config.threads or threads_per_rank())
-    tune_malloc()
-    torch.backends.cudnn.benchmark = True  # shapes stay, so searching the fastest kernels pays
+    disable_malloc_trim()
+    torch.backends.cudnn.benchmark = True  # shapes are constant
     torch.manual_seed(config.seed)
     networks = start_networks(config).to(device)
-    count = len(networks.objects)
-    plan = [
-        f"{n} ({config.stage(n, count).steps} steps)" for n in STAGE_DEFAULTS if n in config.stages
-    ]
+    steps = {name: config.stage(name, len(networks.objects)).steps for name in STAGE_DEFAULTS}
+    plan = [f"{name} ({count} steps)" for name, count in steps.items() if name in config.stages]
     print(f"training {', '.join(networks.objects)}: {', '.join(plan)}")
-    together = f", {world_size()} processes" if world_size() > 1 else ""
-    number_format = "bfloat16" if uses_bfloat16(device) else "float32"
-    print(f"on {describe(device)} in {number_format}{together}")
+    processes = f", {world_size()} processes" if world_size() > 1 else ""
+    dtype = "bfloat16" if uses_bfloat16(device) else "float32"
+    print(f"on {describe(device)} in {dtype}{processes}")
     train, held_out = rank_zero_first(lambda: open_data(config, networks))
     if config.compile:
         for network in networks.children():
@@ -84,15 +78,15 @@ def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) 
     if rank() > 0:
         return path
     networks.cpu()
-    content = header(config, networks, done, log.held_out)
-    save_weights(networks, path, content, surfaces=config.store_meshes)
+    fields = header(config, networks, done, log.held_out)
+    save_weights(networks, path, fields, surfaces=config.store_meshes)
     if config.json is not None:
         log.write_results(config)
     print(f"weights: {path}")
     unfinished = [
-        f"{name} ({done.get(name, 0)} of {config.stage(name, count).steps} steps)"
+        f"{name} ({done.get(name, 0)} of {steps[name]} steps)"
         for name in config.stages
-        if done.get(name, 0) < config.stage(name, count).steps
+        if done.get(name, 0) < steps[name]
     ]
     if unfinished:
         print(
@@ -105,10 +99,10 @@ def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) 
 
 
 def next_command(networks: PoseNetworks, done: Collection[str], path: Path) -> str:
-    """How to measure what was trained, or what to train before there is something to measure.
+    """Suggests how to evaluate the weights at ``path``, or what to train before that.
 
     Args:
-        networks: that were trained.
+        networks: the trained networks.
         done: the stages of the training, in order.
         path: the weights.
     """
@@ -120,12 +114,12 @@ def next_command(networks: PoseNetworks, done: Collection[str], path: Path) -> s
         )
     method = {"cascade": "early", "points": "rgbd"}.get([*done][-1] if done else "", "mid")
     if method == "mid" and "volume" not in networks.trained:
-        method = "late"  # the best of two views that needs no more than 2D features
+        method = "late"  # the best two-view method that needs 2D features only
     return f"evaluate them: python -m two_view_pose evaluate --method {method} --weights {path}"
 
 
 def start_networks(config: TrainEstimatorConfig) -> PoseNetworks:
-    """Networks as the training begins with them; see :func:`start_from` for what it raises."""
+    """Returns the initial networks; see :func:`start_from` for what it raises."""
     from ..networks.container import NetworkConfig, PoseNetworks
 
     objects = training_objects(config.data, config.objects)
@@ -143,12 +137,12 @@ def start_networks(config: TrainEstimatorConfig) -> PoseNetworks:
 
 
 def start_from(config: TrainEstimatorConfig, networks: PoseNetworks) -> None:
-    """Fills networks with what the weights ``config.init`` know, and prints what that is.
+    """Loads the compatible parts of the weights ``config.init``, and prints which they are.
 
     Raises:
         FileNotFoundError: if there are no such weights.
-        InputError: if they are damaged, or lack 2D features, or know other objects, and the stages
-            that would learn these are not asked for.
+        InputError: if they are damaged, or lack 2D features or objects that none of the requested
+            stages trains.
     """
     from ..networks.weights import find_weights, read_networks
     from .transfer import transfer_weights
@@ -157,24 +151,19 @@ def start_from(config: TrainEstimatorConfig, networks: PoseNetworks) -> None:
     other = read_networks(find_weights(config.init))
     transfer = transfer_weights(other, networks)
     print(f"weights {config.init}\n{transfer}")
-    learnt = {
-        stage
-        for stage in STAGE_DEFAULTS
-        if stage in config.chosen_stages or (config.out / f"{stage}.safetensors").is_file()
+    checkpoints = {
+        name for name in STAGE_DEFAULTS if (config.out / f"{name}.safetensors").is_file()
     }
+    trained = checkpoints.union(config.chosen_stages)
     stages_of = {"detector": {"detector"}, "features": {"features", "decoders"}}
-    missing = [
-        part
-        for part, stages in stages_of.items()
-        if part in transfer.incomplete and not stages & learnt
-    ]
+    missing = [n for n in stages_of if n in transfer.incomplete and not stages_of[n] & trained]
     if missing:
         raise InputError(
             f"the weights {config.init} know {', '.join(other.objects)}, and the training asks for "
             f"{', '.join(networks.objects)}: add {' and '.join(missing)} to --stages, which must "
             f"learn {', '.join(transfer.new)}"
         )
-    if "decoders" in config.chosen_stages and "features" not in {*transfer.parts, *learnt}:
+    if "decoders" in config.chosen_stages and "features" not in {*transfer.parts, *trained}:
         raise InputError(
             f"the weights {config.init} hold no trained 2D features for the decoders to build on: "
             "add features to --stages"
@@ -184,20 +173,20 @@ def start_from(config: TrainEstimatorConfig, networks: PoseNetworks) -> None:
 def open_data(
     config: TrainEstimatorConfig, networks: PoseNetworks
 ) -> tuple[TrainingSet, TrainingSet]:
-    """The images to train on and those that are held out; they are packed at the first time."""
+    """Returns the training and the validation set; packs the dataset first if it is not."""
     from ..training_data.augmentation import AugmentationConfig
     from ..training_data.crop_packing import pack_dataset
     from ..training_data.cut_and_paste import CutAndPasteConfig
     from ..training_data.dataset import TrainingSet
 
     pack = pack_dataset(config.data, networks.objects, split=config.split)
-    chance, strong = config.cut_and_paste, config.augmentation == "strong"
+    p, strong = config.cut_and_paste, config.augmentation == "strong"
     open_set = partial(
         TrainingSet, pack, networks.objects, networks.config.features,
         AugmentationConfig.strong() if strong else AugmentationConfig(),
         validation=config.validation,
     )  # fmt: skip
-    paste = CutAndPasteConfig(chance, chance, collages=0.5 * strong) if chance else None
+    paste = CutAndPasteConfig(p, p, collages=0.5 * strong) if p else None
     return open_set(cut_and_paste=paste), open_set(held_out=True)
 
 
@@ -210,28 +199,28 @@ def train_stage(
     log: TrainingLog,
     deadline: float = math.inf,
 ) -> int | None:
-    """Trains a part of the networks if it is asked for, or restores what an earlier run made of it.
+    """Runs a stage if it is requested, else restores its checkpoint if there is one.
 
     Args:
         config: of the training.
         name: of the stage.
-        networks: whose part it is.
-        train: the images to train on.
-        held_out: those to measure on.
+        networks: changed in place.
+        train: the training set.
+        held_out: the validation set.
         log: of the training.
         deadline: when to stop, by ``time.monotonic()``.
 
     Returns:
-        The step that the part is at; None if it is not of this training.
+        The step that the stage has reached; None if it is not part of this training.
     """
-    from .checkpoints import load_checkpoint, read_numbers
-    from .distributed import agreed
+    from .checkpoints import load_checkpoint, read_counters
+    from .distributed import broadcast_decision
     from .loader import default_workers
     from .trainer import LoopConfig, run_stage
 
     checkpoint = config.out / f"{name}.safetensors"
-    asked = name in config.stages and agreed(time.monotonic() < deadline)
-    if not asked and not checkpoint.is_file():
+    requested = name in config.stages and broadcast_decision(time.monotonic() < deadline)
+    if not requested and not checkpoint.is_file():
         return None
     settings = config.stage(name, len(networks.objects))
     extra: dict[str, Any] = {}
@@ -245,7 +234,7 @@ def train_stage(
         networks, train, held_out, steps=settings.steps, batch=settings.batch,
         learning_rate=settings.learning_rate, seed=config.seed, workers=workers, **extra,
     )  # fmt: skip
-    if asked:
+    if requested:
         loop = LoopConfig(
             out=config.out,
             checkpoint_every=config.checkpoint_every,
@@ -256,9 +245,8 @@ def train_stage(
         step = run_stage(stage, loop, log)
     else:
         load_checkpoint(stage.module, checkpoint)
-        step = read_numbers(checkpoint)["step"]
-    # Parts that were trained on other features are of no use with these; the cascade reads the
-    # encoder alone.
+        step = read_counters(checkpoint)["step"]
+    # Parts trained on the previous features are invalid; the cascade reads the encoder only.
     if name == "features":
         networks.trained -= {"volume", "cascade", "points"}
     elif name == "decoders":

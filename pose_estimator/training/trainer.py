@@ -1,4 +1,4 @@
-"""A training loop that can be killed at any moment: checkpoints, resume, log, progress bar."""
+"""The training loop of a stage: checkpoints, resuming, log, progress bar."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from .checkpoints import load_checkpoint, read_numbers, save_checkpoint
+from .checkpoints import load_checkpoint, read_counters, save_checkpoint
 from .distributed import (
-    agreed,
+    broadcast_decision,
     broadcast_weights,
     check_same_step,
     convert_sync_batchnorms,
-    in_parallel,
+    data_parallel,
     rank,
 )
 from .optimizer import HybridOptimizer
@@ -30,27 +30,27 @@ if TYPE_CHECKING:
     from .stage_base import StageBase
 
 _WARM_UP = 200
-"""Steps until the full learning rate, in stages that are not short."""
+"""Maximum number of warm-up steps."""
 
 # Of glibc's malloc.h.
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_MAX = -1, -2, -4
 
 Log = Callable[[str, int, dict[str, float]], None]
-"""Takes a stage's name, a step, and numbers by name."""
+"""Takes a stage's name, a step, and values by name."""
 
 
 @dataclass(frozen=True)
 class LoopConfig:
-    """How the loop runs.
+    """Options of the loop.
 
     Attributes:
-        out: folder of checkpoints and logs.
+        out: folder of checkpoints.
         checkpoint_every: seconds between checkpoints.
         validate_every: steps between validations.
-        resume: continue from the last checkpoint of the stage, if there is one.
-        deadline: when to stop, by ``time.monotonic()``, after a step at least.
-        lr_cycles: cosine cycles of the learning rate. The result is the mean of the weights at the
-            ends of the cycles (stochastic weight averaging: Izmailov et al., "Averaging weights
+        resume: resume from the stage's checkpoint, if there is one.
+        deadline: when to stop, by ``time.monotonic()``, after at least one step.
+        lr_cycles: cosine cycles of the learning rate. The weights at the ends of the cycles are
+            averaged (stochastic weight averaging: Izmailov et al., "Averaging weights
             leads to wider optima", UAI 2018).
     """
 
@@ -63,13 +63,13 @@ class LoopConfig:
 
 
 def learning_rate(step: int, steps: int, maximum: float, cycles: int = 1) -> float:
-    """Cosine annealing to a hundredth with warm restarts, each cycle after a linear warm-up.
+    """Cosine annealing to a hundredth with warm restarts and a linear warm-up in each cycle.
 
     Loshchilov and Hutter, "SGDR: Stochastic gradient descent with warm restarts", ICLR 2017.
 
     Args:
         step: from 0 to ``steps`` - 1.
-        steps: of all cycles together.
+        steps: in all cycles.
         maximum: at the end of the warm-up.
         cycles: of equal length; the last may be shorter.
     """
@@ -83,33 +83,33 @@ def learning_rate(step: int, steps: int, maximum: float, cycles: int = 1) -> flo
 
 
 def run_stage(stage: StageBase, config: LoopConfig, log: Log) -> int:
-    """Trains a stage to its last step or the deadline, from where its last checkpoint left off.
+    """Trains a stage from its checkpoint to its last step or the deadline.
 
-    Processes that train together (see ``distributed.py``) end with the same weights; rank 0 alone
-    validates, logs and writes checkpoints, which all of them resume from.
+    All ranks (see ``distributed.py``) end with the same weights. Only rank 0 validates, logs and
+    writes checkpoints, which all of them resume from.
 
     Returns:
-        The step that it is at.
+        The step that it has reached.
 
     Raises:
-        FloatingPointError: if the loss is no longer finite.
+        FloatingPointError: if the gradient is not finite.
     """
     convert_sync_batchnorms(stage.module)
     run = _Run(stage, config, log)
     check_same_step(run.step)
     if run.step < stage.steps:
         run.train()
-        broadcast_weights(stage.module)  # running statistics may have been each process's own
+        broadcast_weights(stage.module)  # running statistics may differ between ranks
     return run.step
 
 
 class _Run:
-    """A stage with the state of its training, which a checkpoint keeps.
+    """The state of a training, which a checkpoint keeps.
 
     Attributes:
-        step: how many were taken.
+        step: completed steps.
         averaged: the mean of the weights at the ends of cycles, by name; empty before the first.
-        cycles: how many have ended.
+        cycles: completed cycles.
     """
 
     def __init__(self, stage: StageBase, config: LoopConfig, log: Log):
@@ -124,54 +124,55 @@ class _Run:
         self._smoothed: dict[str, float] = {}
 
     def train(self) -> None:
-        """Takes steps until the last one or the deadline."""
-        stage, config, first = self.stage, self.config, rank() == 0
-        batch_loss = in_parallel(_Loss(stage))
+        """Trains to the last step or the deadline."""
+        stage, config, is_main = self.stage, self.config, rank() == 0
+        batch_loss = data_parallel(StageLoss(stage))
         late = False
         with (
             contextlib.closing(stage.batches(self.step)) as source,
             tqdm(
                 total=stage.steps, initial=self.step, desc=stage.name, unit="step",
-                mininterval=5.0, disable=not first,
+                mininterval=5.0, disable=not is_main,
             ) as bar,
         ):  # fmt: skip
             while self.step < stage.steps and not late:
-                self._descend(batch_loss, next(source))
+                self._optimize(batch_loss, next(source))
                 bar.update(1)
                 if self.step % 20 == 0:
                     bar.set_postfix({name: f"{v:.4f}" for name, v in self._smoothed.items()})
-                cycle_ends = self._average_at_the_end_of_a_cycle()
-                if first:
+                cycle_ends = self._average_weights()
+                if is_main:
                     self._report()
-                late = config.deadline < math.inf and agreed(time.monotonic() > config.deadline)
+                late = config.deadline < math.inf and broadcast_decision(
+                    time.monotonic() > config.deadline
+                )
                 due = time.monotonic() - self._saved > config.checkpoint_every
-                if first and (due or late or cycle_ends or self.step == stage.steps):
+                if is_main and (due or late or cycle_ends or self.step == stage.steps):
                     self._save()
 
-    def _descend(self, batch_loss: nn.Module, batch: Any) -> None:
-        """One step down the loss of a batch."""
-        loss, parts = batch_loss(batch)
+    def _optimize(self, batch_loss: nn.Module, batch: Any) -> None:
+        """Takes one optimizer step."""
+        loss, terms = batch_loss(batch)
         self.optimizer.zero_grad()
         loss.backward()
         norm = nn.utils.clip_grad_norm_(self.optimizer.parameters, 5.0)
-        # Read all at once: a GPU is waited for once a step.
-        length, value, *values = torch.stack([norm, loss.detach(), *parts.values()]).tolist()
-        if not math.isfinite(length):
+        # One transfer, so that a GPU synchronizes once per step.
+        norm, value, *values = torch.stack([norm, loss.detach(), *terms.values()]).tolist()
+        if not math.isfinite(norm):
             raise FloatingPointError(
                 f"{self.stage.name}: the loss is {value} at step {self.step}; "
                 "resume with a lower --learning-rate"
             )
+        stage = self.stage
         self.optimizer.step(
-            learning_rate(
-                self.step, self.stage.steps, self.stage.learning_rate, self.config.lr_cycles
-            )
+            learning_rate(self.step, stage.steps, stage.learning_rate, self.config.lr_cycles)
         )
         self.step += 1
-        for name, number in zip(parts, values, strict=True):
-            self._smoothed[name] = 0.98 * self._smoothed.get(name, number) + 0.02 * number
+        for name, value in zip(terms, values, strict=True):
+            self._smoothed[name] = 0.98 * self._smoothed.get(name, value) + 0.02 * value
 
-    def _average_at_the_end_of_a_cycle(self) -> bool:
-        """Takes the weights into the mean where a cycle ends; the last time, loads the mean."""
+    def _average_weights(self) -> bool:
+        """Updates the averaged weights if a cycle ends, and loads them after the last one."""
         steps, cycles = self.stage.steps, self.config.lr_cycles
         if cycles == 1 or (self.step % math.ceil(steps / cycles) and self.step < steps):
             return False
@@ -186,21 +187,21 @@ class _Run:
         return True
 
     def _report(self) -> None:
-        """Logs training every 100 steps, and validates when it is time."""
+        """Logs the loss every 100 steps, and validates when it is due."""
         stage, step = self.stage, self.step
         if step % 100 == 0:
             self.log(stage.name, step, {f"train/{n}": v for n, v in self._smoothed.items()})
         if step % self.config.validate_every == 0 or step == stage.steps:
-            numbers = stage.validate()
-            self.log(stage.name, step, {f"held_out/{n}": v for n, v in numbers.items()})
-            text = "  ".join(f"{name} {value:.4f}" for name, value in numbers.items())
+            metrics = stage.validate()
+            self.log(stage.name, step, {f"held_out/{n}": v for n, v in metrics.items()})
+            text = "  ".join(f"{name} {value:.4f}" for name, value in metrics.items())
             tqdm.write(f"{stage.name} step {step}: {text}")
 
     def _save(self) -> None:
         averaged = {f"mean.{name}": tensor for name, tensor in self.averaged.items()}
-        numbers = {"step": self.step, "steps": self.stage.steps, "averaged": self.cycles}
+        counters = {"step": self.step, "steps": self.stage.steps, "averaged": self.cycles}
         state = averaged | self.optimizer.state()
-        save_checkpoint(self._path, self.stage.module, state, numbers)
+        save_checkpoint(self._path, self.stage.module, state, counters)
         self._saved = time.monotonic()
 
     def _resume(self) -> None:
@@ -212,12 +213,12 @@ class _Run:
             for name, tensor in state.items()
             if name.startswith("mean.")
         }
-        numbers = read_numbers(self._path)
-        self.step, self.cycles = numbers["step"], numbers["averaged"]
+        counters = read_counters(self._path)
+        self.step, self.cycles = counters["step"], counters["averaged"]
 
 
-class _Loss(nn.Module):
-    """A stage's loss as a module, whose gradients DistributedDataParallel can average."""
+class StageLoss(nn.Module):
+    """A stage's loss as a module, as DistributedDataParallel needs it."""
 
     def __init__(self, stage: StageBase):
         super().__init__()
@@ -225,15 +226,15 @@ class _Loss(nn.Module):
         self._loss = stage.loss
 
     def forward(self, batch: Any) -> tuple[Tensor, dict[str, Tensor]]:
-        loss, parts = self._loss(batch)
-        return loss, {name: part.detach() for name, part in parts.items()}
+        loss, terms = self._loss(batch)
+        return loss, {name: term.detach() for name, term in terms.items()}
 
 
-def tune_malloc() -> None:
-    """Tells glibc to keep what is freed for the next step, instead of returning it to the system.
+def disable_malloc_trim() -> None:
+    """Makes glibc keep freed memory for the next step instead of returning it to the system.
 
-    Every step allocates the same large buffers; mapping them again each time cost a fifth of a
-    training's time on two cores. Elsewhere than on glibc this does nothing.
+    Every step allocates the same large buffers; mapping them again took a fifth of the training
+    time on two cores. Does nothing without glibc.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:

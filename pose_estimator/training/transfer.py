@@ -1,7 +1,7 @@
-"""What weights for other objects, or with another volume, have to teach: the parts that fit.
+"""Initializes networks from weights of other objects or another preset: the compatible parts.
 
-Most of each network is shared by all objects. What belongs to one object alone, rows of a few
-tensors, is copied for the objects that both know; for the others it starts untrained.
+Most of each network is shared by all objects. The rows of a few tensors that belong to one object
+are copied for the objects that both know; for the others they start untrained.
 """
 
 from __future__ import annotations
@@ -22,13 +22,12 @@ from ..networks.detector import DetectorConfig
 from ..networks.features import FeatureConfig
 
 _ROWS = ("embedding.weight", "head_weight", "head_bias")
-"""Ends of the names of tensors with one row an object."""
+"""Suffixes of the names of tensors with one row per object."""
 
 _OWN_DECODER = re.compile(r"features\.decoders\.(\d+)\.(.+)")
-"""Names of the tensors of one of the decoders."""
 
 _DETECTOR_HEAD = ("detector.head.weight", "detector.head.bias")
-"""Tensors with one row an object, and then three (offset and size) for each."""
+"""Tensors with one row per object, followed by three (offset and size) per object."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +35,11 @@ class Transfer:
     """What was loaded.
 
     Attributes:
-        known: objects of which the other weights know everything, in the order of the networks.
+        known: objects that both know, in the order of the networks.
         new: the other objects of the networks.
-        parts: the networks that were filled, those with rows of new objects only in part.
+        parts: the parts that were loaded, completely or without the rows of new objects.
         incomplete: those of ``parts`` that lack rows of new objects.
-        skipped: trained networks of the other weights that do not fit.
+        skipped: trained parts of the source that are incompatible.
     """
 
     known: tuple[str, ...]
@@ -50,7 +49,6 @@ class Transfer:
     skipped: tuple[str, ...]
 
     def __str__(self) -> str:
-        """A line or three for the user."""
         lines = [f"loaded: {', '.join(self.parts) or 'nothing'}"]
         if self.new and self.incomplete:
             lines.append(
@@ -63,13 +61,13 @@ class Transfer:
 
 
 def transfer_weights(source: PoseNetworks, networks: PoseNetworks) -> Transfer:
-    """Fills networks with what others have learnt, and says so in their ``trained``.
+    """Copies the compatible weights of ``source`` into ``networks`` and sets their ``trained``.
 
     A volume is loaded only if it has the same preset. A part that lacks rows of new objects does
     not count as trained.
 
     Raises:
-        InputError: if the networks are of other shapes.
+        InputError: if the networks have other shapes.
     """
     for part in ("detector", "features"):
         wanted, given = (_shape(getattr(n.config, part)) for n in (networks, source))
@@ -96,7 +94,7 @@ def transfer_weights(source: PoseNetworks, networks: PoseNetworks) -> Transfer:
             incomplete.add(part)
         decoder = _OWN_DECODER.match(name)
         if decoder is not None and own_decoders:
-            # A new object's decoder starts as the mean of those there are.
+            # A new object's decoder starts as the mean of the source's decoders.
             number = int(decoder[1])
             others = [rows[number]] if number in rows else range(len(source.objects))
             copies = [theirs[f"features.decoders.{other}.{decoder[2]}"] for other in others]
@@ -115,14 +113,14 @@ def transfer_weights(source: PoseNetworks, networks: PoseNetworks) -> Transfer:
 
 
 def _shape(config: DetectorConfig | FeatureConfig) -> DetectorConfig | FeatureConfig:
-    """A configuration whatever the number of its decoders."""
+    """The configuration apart from the number of its decoders."""
     return replace(config, own_decoders=False) if isinstance(config, FeatureConfig) else config
 
 
 def _same_model(
     objects: Mapping[str, ObjectModel], others: Mapping[str, ObjectModel], name: str
 ) -> bool:
-    """Whether both have an object of that name with the same keypoints."""
+    """Whether both have an object of this name with the same keypoints."""
     return (
         name in objects
         and name in others

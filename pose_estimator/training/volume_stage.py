@@ -1,4 +1,4 @@
-"""The training of ``mid``'s volume: pairs of crops, on top of frozen 2D features."""
+"""Training of ``mid``'s volume: pairs of crops, on frozen 2D features."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ..networks.voting import vote
 from ..solvers.rigid import RigidMotions, solve
 from ..symmetry import keypoint_permutations
 from ..training_data.dataset import TrainingSet
-from ..training_data.target_sample import arrays_of_pair, as_input
-from .loader import Batch, Draw, Sample
+from ..training_data.target_sample import as_input, pair_arrays
+from .loader import Batch, Sample, SampleFunction
 from .losses import distribution_loss, keypoint_loss, pose_loss
-from .stage_base import Answers, KeypointStage, table
+from .stage_base import KeypointStage, Predictions, padded_stack
 
 _KEYPOINT_WEIGHT = 4.0
 _DISTRIBUTION_WEIGHT = 0.2
@@ -32,14 +32,14 @@ class VolumeStage(KeypointStage):
     """The volume on pairs of views; of the 2D network only the lifted map is trained with it.
 
     The loss is the paper's, the sum over the levels of beta1 pose + beta2 keypoint + beta3 KL
-    divergence. Only where the volume's configuration says so (the preset ``paper``) is the coarse
-    level's pose part of it; elsewhere it is the fine level's alone.
+    divergence. The coarse level's pose is included only where the volume's configuration says so
+    (the preset ``paper``).
 
     Args:
         args: of :class:`StageBase`.
-        pose_noise: largest error of the relative pose that the volume is given, as rotation in
-            degrees and translation in meters; see :func:`perturb_relative_pose`.
-        pose_weight: of the pose loss; 0 leaves it out.
+        pose_noise: maximum error of the volume's relative pose in training, as rotation in degrees
+            and translation in meters; see :func:`perturb_relative_pose`.
+        pose_weight: weight of the pose loss; 0 turns it off.
         kwargs: of :class:`StageBase`.
     """
 
@@ -59,7 +59,7 @@ class VolumeStage(KeypointStage):
         self.validation = (16, 16) if self.networks.volume.config.fine.cells else (24, 2)
         heads = self.networks.features.volume_heads.requires_grad_(True)
         self._module = torch.nn.ModuleDict({"volume": self.networks.volume, "heads": heads})
-        self.permutations = table(
+        self.permutations = padded_stack(
             [keypoint_permutations(m.keypoints, m.symmetries) for m in self.train.models]
         ).to(self.device)
 
@@ -67,13 +67,12 @@ class VolumeStage(KeypointStage):
     def module(self) -> torch.nn.Module:
         return self._module
 
-    def drawing(self, *, held_out: bool = False) -> Draw:
-        if held_out:
-            return partial(draw_guessed_pair, self.held_out, (0.0, 0.0))
-        return partial(draw_guessed_pair, self.train, self.pose_noise)
+    def sample_function(self, source: TrainingSet) -> SampleFunction:
+        noise = self.pose_noise if source is self.train else (0.0, 0.0)
+        return partial(draw_noisy_pair, source, noise)
 
     def forward(self, batch: Batch) -> dict[str, Any]:
-        """Runs a batch of pairs of :func:`draw_guessed_pair`."""
+        """Runs a batch of pairs of :func:`draw_noisy_pair`."""
         networks = self.networks
         networks.features.eval()
         index, T_true = batch["object"], batch["T_cam_obj"]
@@ -102,31 +101,31 @@ class VolumeStage(KeypointStage):
         }  # fmt: skip
 
     def solve(self, level: LevelOutput, out: dict[str, Any]) -> RigidMotions:
-        """The poses that a level's keypoints mean, differentiably."""
+        """Fits the poses to a level's keypoints, differentiably."""
         return solve(self.keypoints[out["index"]], level.keypoints.float(), out["diameter"])
 
     def relabel_votes(
         self, mean: Tensor, covariance: Tensor, projection: Tensor, truth: Tensor, index: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Renumbers votes on symmetric objects to the pose that is trained.
+        """Permutes votes on symmetric objects to match the ground-truth pose.
 
         Args:
             mean: (B, V, 9, 2) of the votes.
             covariance: (B, V, 9, 2, 2).
             projection: (B, V, 3, 4).
-            truth: (B, 9, 3) keypoints in the pose that is trained.
-            index: (B,) of which object.
+            truth: (B, 9, 3) keypoints in the ground-truth pose.
+            index: (B,) object indices.
 
         Returns:
-            The mean and the covariance of each keypoint's vote.
+            The permuted mean and covariance.
         """
         uvw = truth[:, None] @ projection[..., :3].mT + projection[..., None, :, 3]
         pixels = uvw[..., :2] / uvw[..., 2:]
         permutations = self.permutations[index]  # (B, P, 9)
         samples = torch.arange(len(index), device=index.device)
         permuted = mean.transpose(1, 2)[samples[:, None, None], permutations]  # (B, P, 9, V, 2)
-        miss = (permuted - pixels.transpose(1, 2)[:, None]).norm(dim=-1).clamp(max=8.0)
-        best = permutations[samples[:, None], miss.sum(2).argmin(1)]  # (B, V, 9)
+        error = (permuted - pixels.transpose(1, 2)[:, None]).norm(dim=-1).clamp(max=8.0)
+        best = permutations[samples[:, None], error.sum(2).argmin(1)]  # (B, V, 9)
         places = samples[:, None, None], torch.arange(mean.shape[1], device=index.device)[:, None]
         return mean[*places, best], covariance[*places, best]
 
@@ -134,40 +133,36 @@ class VolumeStage(KeypointStage):
         self.networks.volume.train()
         out = self.forward(batch)
         total = torch.zeros((), device=self.device)
-        numbers: dict[str, Tensor] = {}
+        terms: dict[str, Tensor] = {}
         for level, name in zip(out["levels"], ("coarse", "fine"), strict=True):
             distribution = distribution_loss(
                 level.log_probability, level.cells, out["truth"], level.cell_size
             )
             distance = keypoint_loss(level.keypoints, out["truth"], out["diameter"])
             total = total + _DISTRIBUTION_WEIGHT * distribution + _KEYPOINT_WEIGHT * distance
-            numbers |= {f"{name}_kl": distribution, f"{name}_distance": distance}
+            terms |= {f"{name}_kl": distribution, f"{name}_distance": distance}
             if self.pose_weight and (name == "fine" or self.networks.volume.config.coarse_pose):
-                solution = self.solve(level, out)
-                pose = pose_loss(
-                    solution.rotation, solution.translation, out["T_true"], out["diameter"],
-                    alpha=0.3,
-                )  # fmt: skip
+                pose = pose_loss(*self.solve(level, out), out["T_true"], out["diameter"])
                 total = total + self.pose_weight * pose
-                numbers["pose" if name == "fine" else "coarse_pose"] = pose
-        return total, numbers
+                terms["pose" if name == "fine" else "coarse_pose"] = pose
+        return total, terms
 
-    def answers(self, batch: Batch) -> Answers:
+    def predict(self, batch: Batch) -> Predictions:
         out = self.forward(batch)
         level = out["levels"][-1]
         motions = self.solve(level, out)
-        return Answers(level.keypoints, motions, out["truth"], out["T_true"], out["index"])
+        return Predictions(level.keypoints, motions, out["truth"], out["T_true"], out["index"])
 
 
-def draw_guessed_pair(
+def draw_noisy_pair(
     source: TrainingSet, pose_noise: tuple[float, float], rng: np.random.Generator
 ) -> Sample:
-    """A pair, a guess of its center, and the relative pose that the volume is given.
+    """Draws a pair, the error of its guessed center, and its relative pose with noise.
 
     Args:
         source: of the pair.
-        pose_noise: largest error of that pose in degrees and meters.
-        rng: of the draws.
+        pose_noise: maximum error of the relative pose in degrees and meters.
+        rng: random generator.
     """
     first, second, T_second_ref = source.draw_pair(rng, with_depth=False)
     guess_error = rng.normal(0, _GUESS_NOISE, 3)
@@ -175,7 +170,7 @@ def draw_guessed_pair(
     if any(pose_noise):
         noisy = perturb_relative_pose(T_second_ref, *pose_noise, rng, uniform=True)
     return {
-        **arrays_of_pair(first, second),
+        **pair_arrays(first, second),
         "T_second_ref": T_second_ref.astype(np.float32),
         "noisy_T_second_ref": noisy.astype(np.float32),
         "guess_error": guess_error.astype(np.float32),

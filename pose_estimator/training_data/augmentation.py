@@ -1,4 +1,4 @@
-"""Augmentation of training images: light, sensors, hidden parts."""
+"""Augmentation of training images: geometry, light, sensor noise, occlusion."""
 
 from __future__ import annotations
 
@@ -7,33 +7,34 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ...core.image_crop import similarity_matrix
 from .cut_and_paste import blend
 
 
 @dataclass(frozen=True)
 class AugmentationConfig:
-    """Augmentation strength.
+    """Augmentation strength. The fields from ``saturation`` on are off unless :meth:`strong`.
 
     Attributes:
         shift: standard deviation of the crop's center, in sides of the crop.
         scale: standard deviation of the logarithm of its side.
-        rotation: largest in-plane turn of a crop, radians.
-        frame_rotation: the same of a whole frame for the detector.
-        frame_scale: largest logarithm of a whole frame's scale.
+        rotation: maximum in-plane rotation of a crop, radians.
+        frame_rotation: the same of a full frame for the detector.
+        frame_scale: maximum absolute logarithm of a full frame's scale.
         brightness: standard deviation of the logarithm of the exposure.
         contrast: standard deviation of the logarithm of the contrast.
         white_balance: standard deviation of the logarithm of each channel's gain.
-        noise: largest standard deviation of the pixel noise, in levels.
+        noise: maximum standard deviation of the pixel noise, in levels.
         blur: probability of a slight blur.
         erase: probability that a random box hides a part of the image.
-        saturation: standard deviation of the logarithm of the colors' strength.
-        shading: probability that one side lies in another light.
-        motion_blur: probability of a blur along a line.
+        saturation: standard deviation of the logarithm of the saturation factor.
+        shading: probability of an illumination gradient.
+        motion_blur: probability of motion blur.
         sharpen: probability of sharpening, as webcams do it.
-        low_resolution: probability that the image is of fewer pixels and enlarged.
-        spots: probability that the target itself has spots: highlights, dirt.
-        recolored_side: probability that one side of the target has another color: an opening that
-            a scan closed.
+        low_resolution: probability of downsampling and enlarging.
+        spots: probability of spots on the target: highlights, dirt.
+        recolored_side: probability that one side of the target has another color, such as an
+            opening that its scan closes.
     """
 
     shift: float = 0.04
@@ -57,7 +58,7 @@ class AugmentationConfig:
 
     @classmethod
     def strong(cls) -> AugmentationConfig:
-        """What lies between renders and photographs: any light, webcams, jittered ROIs."""
+        """For real images: varied light, webcams, jittered ROIs."""
         return cls(
             shift=0.09,
             scale=0.1,
@@ -83,44 +84,28 @@ class AugmentationConfig:
 def jitter_affine(
     side: int, zoom: float, config: AugmentationConfig, rng: np.random.Generator
 ) -> np.ndarray:
-    """The map from a stored crop to a jittered training crop.
+    """Returns a random affine map (3, 3) about the crops' centers.
 
     Args:
-        side: side of the training crop in pixels; the stored crop has its center at the target.
+        side: side of the training crop in pixels.
         zoom: training pixels per stored pixel without jitter.
-        config: how far to go.
-        rng: source of randomness.
-
-    Returns:
-        (3, 3) affine map, around the crops' centers; the caller shifts it to pixel coordinates.
+        config: augmentation strength.
+        rng: random generator.
     """
     scale = zoom * np.exp(np.clip(rng.normal(0, config.scale), -0.25, 0.25))
     angle = rng.uniform(-config.rotation, config.rotation)
     shift = np.clip(rng.normal(0, 1, 2), -3, 3) * config.shift * side
-    return _similarity(scale, angle, shift)
+    return similarity_matrix(scale, angle, shift, np.zeros(2))
 
 
 def jitter_frame(
     size: tuple[int, int], config: AugmentationConfig, rng: np.random.Generator
 ) -> np.ndarray:
-    """A random similarity (3, 3) about the middle of a whole frame, in its pixels.
-
-    Args:
-        size: (width, height) of the frame.
-        config: how far to go.
-        rng: source of randomness.
-    """
+    """Returns a random similarity (3, 3) about the middle of a (width, height) frame."""
     scale = np.exp(rng.uniform(-config.frame_scale, config.frame_scale))
     angle = rng.uniform(-config.frame_rotation, config.frame_rotation)
     middle = (np.array(size) - 1) / 2
-    moved = _similarity(scale, angle, middle + rng.uniform(-0.06, 0.06, 2) * size)
-    moved[:2, 2] -= moved[:2, :2] @ middle
-    return moved
-
-
-def _similarity(scale: float, angle: float, shift: np.ndarray) -> np.ndarray:
-    cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
-    return np.array([[cosine, -sine, shift[0]], [sine, cosine, shift[1]], [0, 0, 1.0]])
+    return similarity_matrix(scale, angle, middle + rng.uniform(-0.06, 0.06, 2) * size, middle)
 
 
 def erase_box(
@@ -130,14 +115,14 @@ def erase_box(
     mask: np.ndarray | None = None,
     depth: np.ndarray | None = None,
 ) -> None:
-    """Sometimes hides a random box, in place.
+    """Erases a random box with the configured probability, in place.
 
     Args:
-        config: how often.
-        rng: source of randomness.
-        image: RGB uint8 (H, W, 3); the box gets one color.
-        mask: of what is visible, (H, W) uint8; nothing is within the box.
-        depth: meters (H, W); unknown (0) within the box.
+        config: augmentation strength.
+        rng: random generator.
+        image: RGB uint8 (H, W, 3); one color within the box.
+        mask: visible mask, (H, W) uint8; 0 within the box.
+        depth: meters (H, W); 0 (unknown) within the box.
     """
     if not _happens(config.erase, rng):
         return
@@ -154,18 +139,18 @@ def erase_box(
 def paint_spots(
     config: AugmentationConfig, rng: np.random.Generator, image: np.ndarray, mask: np.ndarray
 ) -> np.ndarray:
-    """Sometimes paints soft spots of any brightness on the target, which stays as visible as it is.
+    """Paints soft spots of random brightness on the target with the configured probability.
 
-    A scanned model differs from its object.
+    A scanned model differs from its object. The target's mask is unchanged.
 
     Args:
-        config: how often.
-        rng: source of randomness.
+        config: augmentation strength.
+        rng: random generator.
         image: RGB uint8 (H, W, 3).
         mask: of the visible target, uint8 (H, W), 0 to 255.
 
     Returns:
-        A new image, or the same where nothing happens.
+        A new image, or ``image`` itself if nothing is painted.
     """
     if not _happens(config.spots, rng):
         return image
@@ -193,28 +178,28 @@ def recolor_side(
     pixels: np.ndarray,
     view: np.ndarray,
 ) -> np.ndarray:
-    """Sometimes gives one side of the target, the top or another that is seen, another color.
+    """Recolors a visible side of the target with the configured probability.
 
-    LineMOD's can is open and dark there; its scan is closed and looks as it does elsewhere.
+    LineMOD's can is open and dark at the top; its scan is closed.
 
     Args:
-        config: how often.
-        rng: source of randomness.
+        config: augmentation strength.
+        rng: random generator.
         image: RGB uint8 (H, W, 3).
         mask: of the visible target, uint8 (H, W), 0 to 255.
         points: (P, 3) of its surface, in its frame.
-        pixels: (P, 2) where they are in the image.
+        pixels: (P, 2) their projections.
         view: (3,) from the target towards the camera, in its frame.
 
     Returns:
-        A new image, or the same where nothing happens.
+        A new image, or ``image`` itself if nothing is recolored.
     """
     if not len(points) or not _happens(config.recolored_side, rng):
         return image
-    outwards = np.eye(3)[rng.integers(3)] if rng.random() < 0.7 else rng.normal(size=3)
-    heights = points @ (outwards * (1.0 if outwards @ view > 0 else -1.0))
-    reach = rng.uniform(0.03, 0.35) * np.ptp(heights)
-    outline = cv2.convexHull(pixels[heights >= heights.max() - reach].astype(np.float32))
+    normal = np.eye(3)[rng.integers(3)] if rng.random() < 0.7 else rng.normal(size=3)
+    heights = points @ (normal * (1.0 if normal @ view > 0 else -1.0))
+    extent = rng.uniform(0.03, 0.35) * np.ptp(heights)
+    outline = cv2.convexHull(pixels[heights >= heights.max() - extent].astype(np.float32))
     spot: np.ndarray = np.zeros(mask.shape, np.uint8)
     cv2.fillConvexPoly(spot, np.rint(outline).astype(np.int32), 255)
     spot = cv2.GaussianBlur(spot, (0, 0), rng.uniform(0.5, 2.0))
@@ -222,7 +207,7 @@ def recolor_side(
 
 
 def _tint(image: np.ndarray, spot: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Covers a spot (H, W), 0 to 255, with some color, more or less."""
+    """Blends a random color into a spot (H, W), 0 to 255, with a random opacity."""
     alpha = (spot * rng.uniform(0.3, 1.0)).astype(np.uint8)
     tint = np.clip(rng.uniform(0, 255) * rng.uniform(0.85, 1.15, 3), 0, 255)
     return blend(image, np.full_like(image, tint.astype(np.uint8)), alpha)
@@ -231,7 +216,7 @@ def _tint(image: np.ndarray, spot: np.ndarray, rng: np.random.Generator) -> np.n
 def augment_colors(
     image: np.ndarray, config: AugmentationConfig, rng: np.random.Generator
 ) -> np.ndarray:
-    """Changes light and sensor of an image, RGB uint8 (H, W, 3); returns a new one."""
+    """Returns an image, RGB uint8 (H, W, 3), with random light, blur and sensor noise."""
     gain = np.exp(rng.normal(0, config.brightness) + rng.normal(0, config.white_balance, 3))
     contrast = np.exp(rng.normal(0, config.contrast))
     levels = np.arange(256, dtype=np.float32)[:, None]
@@ -241,10 +226,10 @@ def augment_colors(
     if config.saturation:
         out = _saturate(out, float(np.exp(rng.normal(0, config.saturation))))
     if _happens(config.shading, rng):
-        out = _vary_light(out, rng)
+        out = _illumination_gradient(out, rng)
     if _happens(config.low_resolution, rng):
-        share = rng.uniform(0.35, 0.8)  # of the rows and columns
-        small = cv2.resize(out, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+        factor = rng.uniform(0.35, 0.8)
+        small = cv2.resize(out, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
         out = cv2.resize(small, out.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     if _happens(config.blur, rng):
         out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.4, 1.2))
@@ -264,18 +249,18 @@ def augment_colors(
 
 
 def _happens(probability: float, rng: np.random.Generator) -> bool:
-    """Draws nothing where the probability is 0: other draws stay what they were without it."""
+    """A Bernoulli draw; none if the probability is 0, so that later draws do not change."""
     return probability > 0 and rng.random() < probability
 
 
 def _saturate(image: np.ndarray, strength: float) -> np.ndarray:
-    """Moves colors away from gray, or towards it below 1."""
+    """Scales the saturation by ``strength``."""
     gray = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
     return cv2.addWeighted(image, strength, gray, 1 - strength, 0)
 
 
-def _vary_light(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Light that changes over the image: softly, or along the edge of a shadow."""
+def _illumination_gradient(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Applies light that varies over the image: smoothly, or also at a shadow's edge."""
     height, width = image.shape[:2]
     light = rng.uniform(0.5, 1.2, (int(rng.integers(2, 5)), int(rng.integers(2, 5))))
     smooth = cv2.resize(light.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
@@ -288,7 +273,7 @@ def _vary_light(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _motion_kernel(rng: np.random.Generator) -> np.ndarray:
-    """The blur of a camera that moves during the exposure, 3 to 7 pixels long."""
+    """A random motion blur kernel, 3 to 7 pixels long."""
     side = int(rng.choice([3, 5, 7]))
     kernel = np.zeros((side, side), np.float32)
     angle = rng.uniform(0, np.pi)

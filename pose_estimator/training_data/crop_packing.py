@@ -1,12 +1,11 @@
-"""Packs a BOP dataset for training, once: see :mod:`.crops` for what a pack holds."""
+"""Packs a BOP dataset for training; see :mod:`.crops` for the format."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -29,26 +28,26 @@ from .crops import DEPTH_STEP, STORED_SCALE, STORED_SIDE, CropPack, encode_image
 _FORMAT = 5
 
 _MIN_VISIBILITY = 0.1
-"""Targets that are less visible are left out."""
+"""Minimum visibility of a packed target."""
 
 _WORKERS = 2
 _SCENES_PER_JOB = 8
 
 _Targets = Mapping[int, tuple[int, float]]
-"""obj_id -> index and diameter in meters of what is packed."""
+"""obj_id -> index and diameter in meters of the packed objects."""
 
 
 def pack_dataset(
     root: str | Path, objects: Mapping[str, ObjectModel], *, split: str = "train_pbr"
 ) -> CropPack:
-    """Packs a dataset beside itself, or opens the pack that is there.
+    """Packs a dataset into its own folder, or opens the existing pack.
 
-    It is packed again if the scenes, the size of one of their annotation files, the objects, or
-    their diameters or keypoints changed.
+    It is packed again if the scenes, the size of an annotation file, the objects, or their
+    diameters or keypoints changed.
 
     Args:
         root: the BOP dataset.
-        objects: what to pack, by name; the order becomes ``object_index``.
+        objects: objects to pack, by name; their order defines ``object_index``.
         split: folder of the scenes.
 
     Raises:
@@ -71,7 +70,7 @@ def pack_dataset(
 
 
 def _scenes_digest(dataset: BopDataset) -> str:
-    """Of the numbers of the scenes and the sizes of their annotation files, which are not read."""
+    """Hashes the scene numbers and the sizes of their annotation files."""
     digest = hashlib.sha256()
     for scene_id in dataset.scene_ids:
         scene = dataset.root / dataset.split / f"{scene_id:06d}"
@@ -83,7 +82,7 @@ def _scenes_digest(dataset: BopDataset) -> str:
 
 
 def _fingerprint(model: ObjectModel) -> dict[str, Any]:
-    """What crops and labels take from a model, to detect a changed one."""
+    """What crops and labels depend on, to detect a changed model."""
     micrometers = np.round(model.keypoints * 1e6).astype("<i8")
     return {
         "obj_id": model.obj_id,
@@ -140,23 +139,19 @@ def _append(rows: dict[str, list[Any]], values: Mapping[str, Any]) -> None:
 def _packed_frames(
     dataset: BopDataset, objects: Mapping[str, ObjectModel]
 ) -> Iterator[dict[str, Any]]:
-    """All images of a dataset as :func:`_pack_image` gives them, in order."""
+    """Yields the packed images of a dataset in order."""
     targets = {m.obj_id: (index, m.diameter) for index, m in enumerate(objects.values())}
     pack = partial(_pack_scenes, dataset, targets)
     ids = dataset.scene_ids
     jobs = [ids[i : i + _SCENES_PER_JOB] for i in range(0, len(ids), _SCENES_PER_JOB)]
-    with contextlib.ExitStack() as stack:
-        bar = stack.enter_context(
-            tqdm(total=len(ids), desc="packing", unit="scene", mininterval=2.0)
-        )
-        packed: Iterable[list[dict[str, Any]]]
-        if len(jobs) == 1:  # not worth the start of a process
-            packed = map(pack, jobs)
-        else:
-            pool = ProcessPoolExecutor(
-                _WORKERS, get_context("spawn"), initializer=cv2.setNumThreads, initargs=(1,)
-            )
-            packed = stack.enter_context(pool).map(pack, jobs)
+    with (
+        tqdm(total=len(ids), desc="packing", unit="scene", mininterval=2.0) as bar,
+        ProcessPoolExecutor(
+            _WORKERS, get_context("spawn"), initializer=cv2.setNumThreads, initargs=(1,)
+        ) as pool,
+    ):
+        # The pool starts no process for a single job.
+        packed = map(pack, jobs) if len(jobs) == 1 else pool.map(pack, jobs)
         for scene_ids, frames in zip(jobs, packed, strict=True):
             yield from frames
             bar.update(len(scene_ids))
@@ -173,7 +168,7 @@ def _pack_scenes(
 
 
 def _pack_image(image: BopImage, targets: _Targets) -> dict[str, Any]:
-    """An image at the detector's size, its cameras, and crops of its targets."""
+    """Encodes an image at the detector's size, its cameras, and the crops of its targets."""
     rgb = read_rgb(image)
     small, to_image = detector_input(rgb, DetectorConfig())
     depth = read_depth(image) if image.depth_path is not None else None
@@ -208,7 +203,7 @@ def _pack_image(image: BopImage, targets: _Targets) -> dict[str, Any]:
 
 
 def depth_crop(depth: np.ndarray, affine: np.ndarray) -> np.ndarray:
-    """Cuts a depth map (H, W) in meters like :func:`warp_crop`, without mixing depths.
+    """Cuts a crop of a depth map (H, W) in meters by nearest-neighbor sampling.
 
     Returns:
         (192, 192) uint16 in steps of ``DEPTH_STEP``, 0 = unknown.

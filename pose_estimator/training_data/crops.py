@@ -1,8 +1,8 @@
-"""A dataset packed for training: every target's crop and every small frame, in two files.
+"""A dataset packed for training: the crop of every target and all downsampled frames, in two files.
 
-Decoding full frames and masks again in each epoch would cost more than the network. A pack holds,
-for each target (one object in one image), a JPEG crop somewhat wider than its region of interest
-and a PNG of its visible mask, and for each image a JPEG at the detector's size.
+Decoding full frames and masks in each epoch would take longer than the network. A pack holds for
+each target (one object in one image) a JPEG crop somewhat wider than its ROI and a PNG of its
+visible mask, and for each image a JPEG at the detector's size.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ STORED_SIDE = 192
 """Side of a stored crop in pixels."""
 
 STORED_SCALE = 2.1
-"""Side of a stored crop in object diameters: room for shifts, scales and turns around 1.4."""
+"""Side of a stored crop in object diameters: margin for shifts, scales and rotations around 1.4."""
 
 DEPTH_STEP = 1e-4
-"""Meters for each step of a stored depth crop (uint16)."""
+"""Meters per step of a stored depth crop (uint16)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,19 +34,19 @@ class CropPack:
     Attributes:
         object_names: the objects, in the order of ``object_index``.
         crops: all encoded crops and masks, uint8 bytes.
-        frames: all encoded small frames, uint8 bytes.
-        spans: (T, 6) begin and end of a target's crop, of its mask and of its depth in ``crops``;
-            a depth of no bytes where the dataset has none.
+        frames: all encoded frames, uint8 bytes.
+        spans: (T, 6) begin and end of a target's crop, mask and depth in ``crops``; the depth is
+            empty where the dataset has none.
         frame_spans: (F, 2) begin and end in ``frames``.
-        object_index: (T,) which object.
-        frame_index: (T,) which frame.
-        scene_id: (F,) the scene of each frame; frames of one scene share a static world.
+        object_index: (T,).
+        frame_index: (T,).
+        scene_id: (F,); frames of one scene show a static world.
         T_cam_obj: (T, 4, 4) meters.
         visibility: (T,) 0 to 1.
         to_stored: (T, 3, 3) affine map from full-frame pixels to the stored crop.
         K: (F, 3, 3).
         T_cam_world: (F, 4, 4).
-        frame_to_image: (F, 3, 3) affine map from pixels of the small frame to the full frame.
+        frame_to_image: (F, 3, 3) affine map from pixels of the stored frame to the full frame.
     """
 
     object_names: tuple[str, ...]
@@ -66,30 +66,25 @@ class CropPack:
 
     def crop(self, target: int) -> np.ndarray:
         """The stored crop of a target, RGB uint8 (192, 192, 3)."""
-        begin, end = self.spans[target, :2]
-        return _decode_rgb(self.crops[begin:end])
+        return _decode_rgb(self.crops[slice(*self.spans[target, :2])])
 
     def mask(self, target: int) -> np.ndarray:
         """The stored visible mask of a target, uint8 0 or 255 (192, 192)."""
-        begin, end = self.spans[target, 2:4]
-        return _decode(self.crops[begin:end], cv2.IMREAD_GRAYSCALE)
+        return _decode(self.crops[slice(*self.spans[target, 2:4])], cv2.IMREAD_GRAYSCALE)
 
     def depth(self, target: int) -> np.ndarray | None:
-        """The stored depth of a target's whole crop, float32 (192, 192) meters along the camera's
-        z, 0 = unknown; None where the dataset has no depth maps."""
-        begin, end = self.spans[target, 4:]
-        if begin == end:
-            return None
-        return _decode(self.crops[begin:end], cv2.IMREAD_UNCHANGED) * np.float32(DEPTH_STEP)
+        """The stored depth of a target's crop, background included, float32 (192, 192) meters
+        along the camera's z, 0 = unknown; None if the dataset has no depth maps."""
+        data = self.crops[slice(*self.spans[target, 4:])]
+        return _decode(data, cv2.IMREAD_UNCHANGED) * np.float32(DEPTH_STEP) if len(data) else None
 
     def frame(self, index: int) -> np.ndarray:
         """A frame at the detector's size, RGB uint8 (240, 320, 3)."""
-        begin, end = self.frame_spans[index]
-        return _decode_rgb(self.frames[begin:end])
+        return _decode_rgb(self.frames[slice(*self.frame_spans[index])])
 
 
 class _MappedFile(np.memmap):
-    """The bytes of a file, which another process opens itself instead of being sent them."""
+    """A memory map that is pickled as its file name."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _MappedFile, (self.filename, self.dtype, "r")
@@ -108,7 +103,7 @@ def open_pack(folder: Path, object_names: Sequence[str]) -> CropPack:
 
 
 def encode_image(suffix: str, image: np.ndarray) -> bytes:
-    """An RGB image (H, W, 3), or one of a single channel (H, W), as a JPEG or PNG file."""
+    """Encodes an RGB (H, W, 3) or single-channel (H, W) image as JPEG or PNG."""
     if image.ndim == 3:
         image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     options: Sequence[int] = [cv2.IMWRITE_JPEG_QUALITY, 95] if suffix == ".jpg" else []

@@ -1,8 +1,8 @@
-"""Cut-and-paste on training crops: other objects before the target, other backgrounds behind it.
+"""Cut-and-paste augmentation of training crops: occluders and backgrounds from other crops.
 
 Objects are cut out by their visible masks and pasted, as in PVNet (Peng et al., CVPR 2019, section
-4.1) after Dwibedi et al., "Cut, Paste and Learn", ICCV 2017. The target keeps its place in the
-crop, so its pose stays what it was; only what is seen of it changes.
+4.1) after Dwibedi et al., "Cut, Paste and Learn", ICCV 2017. The pose of the target in the crop is
+unchanged.
 """
 
 from __future__ import annotations
@@ -14,29 +14,30 @@ import numpy as np
 
 from ...assets.collage import draw_collage, draw_leaf
 from ...core.errors import InputError
+from ...core.image_crop import similarity_matrix
 from .crops import STORED_SIDE, CropPack
 
-BANK = 384
-"""How many crops are kept decoded to be pasted; decoding one again would cost more than pasting."""
+BANK_SIZE = 384
+"""Number of crops that are kept decoded, since decoding takes longer than pasting."""
 
 _COLLAGE_SIDE = 320
 """Side of drawn backgrounds in pixels: the width of the detector's frames."""
 
 _MIN_SOURCE_VISIBILITY = 0.7
-"""Visibility from which a target is whole enough to be cut out."""
+"""Minimum visibility of a target that is cut out."""
 
-_MIN_VISIBLE_SHARE = 0.35
-"""Share of the target's visible pixels that an occluder must leave, or it is not pasted."""
+_MIN_VISIBLE_FRACTION = 0.35
+"""Minimum fraction of the target's visible pixels that an occluder must leave visible."""
 
 
 @dataclass(frozen=True)
 class CutAndPasteConfig:
-    """How often crops are changed.
+    """Probabilities of the augmentation.
 
     Attributes:
         occlude: probability that another object is pasted over the crop.
         background: probability that everything but the target is replaced.
-        collages: share of the new backgrounds that are drawn (``collage``) instead of cut out.
+        collages: fraction of the new backgrounds that are synthetic (``collage``).
     """
 
     occlude: float = 0.0
@@ -45,33 +46,33 @@ class CutAndPasteConfig:
 
 
 class CropPaster:
-    """Pastes pieces of some targets' crops into the crops of others.
+    """Pastes parts of other crops into a crop.
 
-    An occluder is never of the target's own kind, and a background comes from a frame that does not
-    show the target: a second instance would have to be found too.
+    An occluder is always another object than the target, and a background comes from a frame
+    without the target's object: a second instance would be a wrong label.
 
     Args:
-        pack: where the crops lie.
-        targets: the targets that pieces may be cut from, as indices into the pack.
-        config: how often.
+        pack: the crops.
+        targets: indices of the targets that may be cut out.
+        config: probabilities.
 
     Raises:
-        InputError: if nothing of what is asked for can be done: the dataset shows one object alone,
-            or every frame shows all objects.
+        InputError: if nothing that is requested is possible: the dataset has one object only, or
+            every frame shows all objects.
     """
 
     def __init__(self, pack: CropPack, targets: np.ndarray, config: CutAndPasteConfig):
         self.pack = pack
         self.config = config
-        whole = targets[pack.visibility[targets] >= _MIN_SOURCE_VISIBILITY]
+        visible = targets[pack.visibility[targets] >= _MIN_SOURCE_VISIBILITY]
         rng = np.random.default_rng(0)
-        self.bank = np.sort(rng.choice(whole, min(BANK, len(whole)), replace=False))
+        self.bank = np.sort(rng.choice(visible, min(BANK_SIZE, len(visible)), replace=False))
         self._pieces: dict[int, np.ndarray] = {}
-        drawn = BANK if config.collages > 0 else 0
+        drawn = BANK_SIZE if config.collages > 0 else 0
         self._collages = [draw_collage(rng, _COLLAGE_SIDE) for _ in range(drawn)]
-        kinds, frames = pack.object_index[self.bank], pack.frame_index[self.bank]
+        objects, frames = pack.object_index[self.bank], pack.frame_index[self.bank]
         numbers = range(len(pack.object_names))
-        self._occluders = [self.bank[kinds != number] for number in numbers]
+        self._occluders = [self.bank[objects != number] for number in numbers]
         self._backgrounds = [
             self.bank[~np.isin(frames, pack.frame_index[pack.object_index == number])]
             for number in numbers
@@ -94,17 +95,17 @@ class CropPaster:
         object_index: int,
         rng: np.random.Generator,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Changes one crop, or leaves it as it is.
+        """Augments a crop with the configured probabilities.
 
         Args:
             crop: RGB uint8 (S, S, 3), around the target.
             mask: its visible mask, uint8 0 to 255 (S, S).
             depth: meters (S, S), 0 = unknown; or None.
-            object_index: which object the target is.
-            rng: source of randomness.
+            object_index: of the target.
+            rng: random generator.
 
         Returns:
-            New crop, mask and depth; the depth is unknown where something was pasted.
+            New crop, mask and depth; the depth of pasted pixels is 0 (unknown).
         """
         backgrounds, occluders = self._backgrounds[object_index], self._occluders[object_index]
         possible = len(backgrounds) or len(self._collages)
@@ -114,26 +115,29 @@ class CropPaster:
             depth = None if depth is None else np.where(mask > 127, depth, np.float32(0))
         if rng.random() < self.config.occlude and len(occluders):
             piece = self._piece(int(occluders[rng.integers(len(occluders))]))
-            away, towards = rng.uniform(0.15, 0.45), rng.uniform(0, 2 * np.pi)
-            place = np.array([0.5 + away * np.cos(towards), 0.5 + away * np.sin(towards)])
+            radius, phi = rng.uniform(0.15, 0.45), rng.uniform(0, 2 * np.pi)
+            place = np.array([0.5 + radius * np.cos(phi), 0.5 + radius * np.sin(phi)])
             scale, angle = np.exp(rng.uniform(-0.5, 0.2)), rng.uniform(-np.pi, np.pi)
-            moved = cv2.warpAffine(
-                piece, _paste_matrix(place * len(mask), scale, angle), mask.shape
-            )
+            middle = np.full(2, (STORED_SIDE - 1) / 2)
+            affine = similarity_matrix(scale, angle, place * len(mask), middle)
+            moved = cv2.warpAffine(piece, affine[:2], mask.shape)
             over = np.ascontiguousarray(moved[..., 3])
             left = cv2.multiply(mask, 255 - over, scale=1 / 255)
-            if cv2.sumElems(left)[0] >= _MIN_VISIBLE_SHARE * cv2.sumElems(mask)[0]:
+            if cv2.sumElems(left)[0] >= _MIN_VISIBLE_FRACTION * cv2.sumElems(mask)[0]:
                 crop, mask = blend(crop, np.ascontiguousarray(moved[..., :3]), over), left
                 depth = None if depth is None else np.where(over > 0, np.float32(0), depth)
         return crop, mask, depth
 
     def paste_frame(self, image: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
-        """Puts a drawn background or distractors behind all targets of a whole frame, or leaves it.
+        """Puts a synthetic background or distractors behind all targets of a frame.
 
         Args:
             image: the frame at the detector's size, RGB uint8 (H, W, 3).
-            frame: its number in the pack.
-            rng: source of randomness.
+            frame: its index in the pack.
+            rng: random generator.
+
+        Returns:
+            A new image, or ``image`` itself if nothing is changed.
         """
         if not self._collages:
             return image
@@ -159,9 +163,9 @@ class CropPaster:
         return blend(behind, image, shown)
 
     def add_distractors(self, image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Adds distractors that have the colors of objects and not their shapes.
+        """Adds distractors with the colors of objects and other shapes.
 
-        A detector that has seen none takes a red car for LineMOD's ape.
+        Without them a detector takes a red car for LineMOD's ape.
         """
         height, width = image.shape[:2]
         out = image.copy()
@@ -184,21 +188,21 @@ class CropPaster:
         return out
 
     def _background(self, backgrounds: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """What is put behind a target, square: drawn, or one of ``backgrounds``."""
+        """Draws a square background: synthetic, or one of ``backgrounds``."""
         drawn = self.config.collages > 0 and rng.random() < self.config.collages
         if drawn or not len(backgrounds):
             return self._collages[rng.integers(len(self._collages))]
         return self._piece(int(backgrounds[rng.integers(len(backgrounds))]))[..., :3]
 
     def _piece(self, target: int) -> np.ndarray:
-        """A stored crop with its mask as fourth channel, (192, 192, 4), decoded once."""
+        """A stored crop with its mask as alpha channel, (192, 192, 4); cached."""
         if target not in self._pieces:
             self._pieces[target] = np.dstack([self.pack.crop(target), self.pack.mask(target)])
         return self._pieces[target]
 
 
 def blend(below: np.ndarray, above: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Lays an image over another, uint8 (H, W, 3), as far as ``alpha`` says, uint8 (H, W)."""
+    """Alpha-blends images, uint8 (H, W, 3), with ``alpha``, uint8 (H, W)."""
     weight = cv2.merge([alpha, alpha, alpha])
     return cv2.add(
         cv2.multiply(above, weight, scale=1 / 255),
@@ -206,16 +210,8 @@ def blend(below: np.ndarray, above: np.ndarray, alpha: np.ndarray) -> np.ndarray
     )
 
 
-def _paste_matrix(center: np.ndarray, scale: float, angle: float) -> np.ndarray:
-    """The affine map (2, 3) that brings the middle of a stored crop to a place in another."""
-    cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
-    linear = np.array([[cosine, -sine], [sine, cosine]])
-    middle = np.full(2, (STORED_SIDE - 1) / 2)
-    return np.column_stack([linear, center - linear @ middle])
-
-
 def _window(image: np.ndarray, side: int, rng: np.random.Generator) -> np.ndarray:
-    """A random window (side, side, 3) of an image, mirrored or not; larger ones are scaled."""
+    """A random window (side, side, 3) of an image, enlarged if it is smaller; flipped or not."""
     if side > len(image):
         image = cv2.resize(image, (side, side), interpolation=cv2.INTER_LINEAR)
     y, x = rng.integers(0, len(image) - side + 1, 2)

@@ -27,27 +27,26 @@ from .cut_and_paste import CropPaster, CutAndPasteConfig
 from .target_sample import TargetSample, direction_field
 
 _OUTLINE_POINTS = 400
-"""Points of a surface that are enough for the outline of one of its sides."""
-
+"""Number of surface points for the outline of a recolored side."""
 
 _TILTED = 0.2
-"""Weight of targets whose +z axis leans more than ten degrees (in the world of the dataset): most
-objects stand as LineMOD's do."""
+"""Weight of targets whose +z axis is tilted by more than ten degrees in the dataset's world: most
+objects stand upright, as in LineMOD."""
 
-_HIDDEN = 0.4
-"""Weight of targets of which less than 30 percent are visible."""
+_OCCLUDED = 0.4
+"""Weight of targets with a visibility below 30 percent."""
 
 _GRAY = (127, 127, 127)
 
 
 def sampling_weights(pack: CropPack) -> np.ndarray:
-    """How often each target is drawn (T,), relative to one that is upright and can be seen."""
+    """Returns the sampling weights (T,) of the targets, relative to an upright, visible one."""
     T_world_cam = invert(pack.T_cam_world[pack.frame_index])
     up = np.einsum("ti,ti->t", T_world_cam[:, 2, :3], pack.T_cam_obj[:, :3, 2])
     # Without a world pose, tilt is undefined.
     no_world = (T_world_cam == np.eye(4)).all((1, 2))
     weights = np.where((up > np.cos(np.radians(10))) | no_world, 1.0, _TILTED)
-    return weights * np.where(pack.visibility < 0.3, _HIDDEN, 1.0)
+    return weights * np.where(pack.visibility < 0.3, _OCCLUDED, 1.0)
 
 
 class TrainingSet:
@@ -57,14 +56,13 @@ class TrainingSet:
         pack: the packed dataset.
         objects: the models, in the order of the pack.
         features: shape of the crops.
-        augmentation: None leaves the images as they are, with crops centered on the target.
-        validation: fraction of the scenes (the last ones) that is kept for validation.
-        held_out: draw from the validation scenes instead of the training scenes.
-        cut_and_paste: how often pieces of other crops are pasted; None never.
+        augmentation: None = no augmentation, with crops centered on the target.
+        validation: fraction of the scenes (the last ones) that is held out.
+        held_out: draw from the held-out scenes instead of the training scenes.
+        cut_and_paste: None = no cut-and-paste.
 
     Raises:
-        InputError: if there are too few scenes to train on some and validate on others, or there is
-            nothing to paste.
+        InputError: if there are too few scenes, or there is nothing to paste.
     """
 
     def __init__(
@@ -108,7 +106,7 @@ class TrainingSet:
         ]
 
     def _find_pairs(self) -> list[list[np.ndarray]]:
-        """For each object, the groups of targets that show it in one static world."""
+        """For each object, the groups of targets in the same scene."""
         groups: dict[tuple[int, int], list[int]] = {}
         for target in self.targets:
             scene = int(self.pack.scene_id[self.pack.frame_index[target]])
@@ -122,7 +120,7 @@ class TrainingSet:
     def target(
         self, target: int, rng: np.random.Generator, *, with_depth: bool = True
     ) -> TargetSample:
-        """Makes one training sample of a target; decoding its depth takes half of the decoding."""
+        """Returns an augmented sample; without depth, decoding takes half the time."""
         pack, config = self.pack, self.features
         size = config.crop
         zoom = STORED_SCALE / config.roi_scale * size / STORED_SIDE
@@ -163,22 +161,22 @@ class TrainingSet:
             depth=depth,
         )
 
+    def draw_object(self, rng: np.random.Generator) -> int:
+        """Draws the index of an object; each one of the dataset is equally likely."""
+        return int(rng.choice(self.known))
+
     def draw_target(
         self, rng: np.random.Generator, index: int | None = None, *, with_depth: bool = True
     ) -> TargetSample:
-        """A random target of an object; without ``index`` each object is equally likely."""
-        index = rng.choice(self.known) if index is None else index
+        """Draws a target of object ``index``, by default of :meth:`draw_object`."""
+        index = self.draw_object(rng) if index is None else index
         target = int(rng.choice(self.by_object[index], p=self._weights[index]))
         return self.target(target, rng, with_depth=with_depth)
 
     def draw_pair(
         self, rng: np.random.Generator, *, with_depth: bool = True
     ) -> tuple[TargetSample, TargetSample, np.ndarray]:
-        """Two views of one object: samples and T_second_ref (4, 4); the reference view first.
-
-        Args:
-            rng: of the draws.
-            with_depth: whether the samples have depth maps, where the dataset has them.
+        """Draws two views of one object: reference view, second view and T_second_ref (4, 4).
 
         Raises:
             InputError: if no scene shows an object in two images.
@@ -192,7 +190,7 @@ class TrainingSet:
         groups = self._pairs[index]
         group = groups[rng.choice(len(groups), p=self._pair_weights[index])]
         first, second = rng.choice(group, 2, replace=False)
-        # From the object itself: it stands still, and real data need not know the world.
+        # From the static object, since real data may lack world poses.
         T_second_ref = self.pack.T_cam_obj[second] @ invert(self.pack.T_cam_obj[first])
         views = (self.target(int(n), rng, with_depth=with_depth) for n in (first, second))
         return next(views), next(views), T_second_ref
@@ -200,28 +198,26 @@ class TrainingSet:
     def draw_frame(
         self, rng: np.random.Generator, config: DetectorConfig
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """A frame for the detector: image, heat, regression, weight (see detection_targets)."""
+        """Draws a frame: image, heat, regression, weight (see :func:`detection_targets`)."""
         pack = self.pack
         frame = int(rng.choice(self.frames))
         image = pack.frame(frame)
         low, high = np.searchsorted(pack.frame_index, [frame, frame + 1])
         if self._paster is not None:
             image = self._paster.paste_frame(image, frame, rng)
-        to_small = np.linalg.inv(pack.frame_to_image[frame])
-        moved = np.eye(3)
+        affine = np.eye(3)
         if self.augmentation is not None:
             size = config.width, config.height
-            moved = jitter_frame(size, self.augmentation, rng)
-            image = cv2.warpAffine(image, moved[:2], size, borderValue=_GRAY)
+            affine = jitter_frame(size, self.augmentation, rng)
+            image = cv2.warpAffine(image, affine[:2], size, borderValue=_GRAY)
             erase_box(self.augmentation, rng, image)
             image = augment_colors(image, self.augmentation, rng)
-        K = moved @ to_small @ pack.K[frame]
+        K = affine @ np.linalg.inv(pack.frame_to_image[frame]) @ pack.K[frame]
         count = len(self.models)
         centers, sides = np.zeros((count, 2)), np.ones(count)
         present = np.zeros(count, bool)
         for target in range(low, high):
-            index = int(pack.object_index[target])
-            T = pack.T_cam_obj[target]
+            index, T = pack.object_index[target], pack.T_cam_obj[target]
             centers[index] = project(T[:3, 3], K)
             focal = np.sqrt(abs(np.linalg.det(K[:2, :2])))
             sides[index] = config.roi_scale * self.models[index].diameter * focal / T[2, 3]

@@ -10,15 +10,15 @@ import numpy as np
 
 @dataclass(frozen=True)
 class DepthAugmentationConfig:
-    """Strength of the sensor noise; each crop draws its own up to these.
+    """Maximum strength of the sensor noise; each crop draws its own.
 
     Attributes:
-        noise: largest multiple of the Kinect's standard deviation along z.
-        steps: largest multiple of the steps that the Kinect's disparities make.
-        window: largest standard deviation in crop pixels of the window in which errors are alike.
-        edges: largest width in crop pixels that is lost beside depth edges.
-        holes: probability that a patch is lost.
-        lost: largest share of pixels that are lost one by one.
+        noise: factor of the Kinect's standard deviation along z.
+        steps: factor of the Kinect's disparity quantization.
+        window: standard deviation of the smoothing of the noise, in crop pixels.
+        edges: width of the missing depth along depth edges, in crop pixels.
+        holes: probability of a missing box.
+        lost: fraction of missing single pixels.
     """
 
     noise: float = 1.5
@@ -30,11 +30,11 @@ class DepthAugmentationConfig:
 
 
 _STEP = 0.125 / (572.4 * 0.075)
-"""The Kinect's step at a meter: an eighth of a pixel of disparity (focal length 572.4, baseline
-75 mm)."""
+"""The Kinect's quantization of inverse depth, 1/m: an eighth of a pixel of disparity (focal length
+572.4, baseline 75 mm)."""
 
 _EDGE = 0.01
-"""Difference of neighboring crop pixels, as a part of their depth, that is an edge."""
+"""Relative depth difference of neighboring crop pixels that counts as an edge."""
 
 
 def augment_depth(

@@ -1,4 +1,4 @@
-"""One training crop: image, mask, votes and camera; and how it goes into a batch."""
+"""One training crop with its labels, and its arrays for a batch."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class TargetSample:
         crop: RGB uint8 (S, S, 3).
         mask: (G, G) float32, covered fraction of each cell by the visible object.
         directions: (9, 2, G, G) float32 unit vectors towards the keypoints.
-        object_index: which object.
-        K: (3, 3) camera of the crop (any affine of the true one, turned and shifted).
-        T_cam_obj: (4, 4) the pose that is trained.
-        depth: (S, S) float32 meters along the camera's z, of all that the crop shows, 0 = unknown;
-            None where the dataset has no depth maps.
+        object_index: of the target.
+        K: (3, 3) camera of the crop (an affine map times the true one).
+        T_cam_obj: (4, 4) the canonical equivalent of the pose.
+        depth: (S, S) float32 meters along the camera's z, background included, 0 = unknown; None
+            if the dataset has no depth maps.
     """
 
     crop: np.ndarray
@@ -41,12 +41,12 @@ def direction_field(pixels: np.ndarray, config: FeatureConfig) -> np.ndarray:
     field = np.empty((len(pixels), 2, config.grid, config.grid), np.float32)
     field[:, 0] = pixels[:, 0, None, None] - cells[None, None, :]
     field[:, 1] = pixels[:, 1, None, None] - cells[None, :, None]
-    # Within half a cell the direction means nothing; let it go to zero there.
+    # The direction is undefined within half a cell; let it go to zero there.
     return field / np.maximum(np.linalg.norm(field, axis=1, keepdims=True), config.stride / 2)
 
 
-def arrays_of(sample: TargetSample) -> dict[str, Any]:
-    """What a batch of single crops holds of a sample."""
+def target_arrays(sample: TargetSample) -> dict[str, Any]:
+    """The arrays of a sample for a batch of single crops."""
     return {
         "crop": sample.crop,
         "mask": sample.mask,
@@ -57,8 +57,8 @@ def arrays_of(sample: TargetSample) -> dict[str, Any]:
     }
 
 
-def arrays_of_pair(first: TargetSample, second: TargetSample) -> dict[str, Any]:
-    """What a batch of pairs holds of one: crops and cameras of both views, the first's pose."""
+def pair_arrays(first: TargetSample, second: TargetSample) -> dict[str, Any]:
+    """The arrays of a pair for a batch: crops and cameras of both views, the pose of the first."""
     return {
         "crop": np.stack([first.crop, second.crop]),
         "object": first.object_index,
@@ -68,5 +68,5 @@ def arrays_of_pair(first: TargetSample, second: TargetSample) -> dict[str, Any]:
 
 
 def as_input(images: Tensor) -> Tensor:
-    """Images (..., H, W, 3) uint8 as a network's input (B, 3, H, W) float32, channels last."""
+    """Converts images (..., H, W, 3) uint8 to a network's input (B, 3, H, W), channels last."""
     return images.flatten(0, -4).permute(0, 3, 1, 2).float()

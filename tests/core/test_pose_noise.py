@@ -1,4 +1,4 @@
-"""Errors of a relative pose: of the size that is asked for, in all directions."""
+"""Errors of a relative pose: of the requested size, in all directions."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,11 +15,11 @@ def errors(uniform: bool) -> tuple[np.ndarray, np.ndarray]:
         perturb_relative_pose(T, 2.0, 0.01, rng, uniform=uniform) @ np.linalg.inv(T)
         for _ in range(400)
     ]
-    turns = np.array([Rotation.from_matrix(E[:3, :3]).as_rotvec(degrees=True) for E in found])
-    return turns, 200 * np.array([E[:3, 3] for E in found])
+    rotations = np.array([Rotation.from_matrix(E[:3, :3]).as_rotvec(degrees=True) for E in found])
+    return rotations, 200 * np.array([E[:3, 3] for E in found])
 
 
-def test_errors_are_uniform_up_to_their_largest():
+def test_uniform_errors_are_up_to_the_given_size():
     for values in errors(uniform=True):
         lengths = np.linalg.norm(values, axis=1)
         assert lengths.max() <= 2 + 1e-6
@@ -28,7 +28,7 @@ def test_errors_are_uniform_up_to_their_largest():
         assert np.abs(values.mean(0)).max() < 0.15
 
 
-def test_errors_have_the_size_that_is_asked_for():
+def test_errors_have_the_given_size():
     for values in errors(uniform=False):
         assert np.allclose(np.linalg.norm(values, axis=1), 2)
         assert np.abs(values.mean(0)).max() < 0.2

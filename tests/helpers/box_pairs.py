@@ -1,4 +1,4 @@
-"""Pairs of views of a box, as a training set gives them."""
+"""A stub of a training set: pairs of views of a box with depth."""
 
 from types import SimpleNamespace
 
@@ -12,7 +12,7 @@ SIDE = 128
 
 
 class Pairs:
-    """Stands in for a TrainingSet: pairs of views of a box that hangs before nothing."""
+    """Stub of a TrainingSet: pairs of views of a box without background."""
 
     targets = (0,)
     pack = SimpleNamespace(depth=lambda target: True)
@@ -23,8 +23,8 @@ class Pairs:
     def view(self, index: int, T_cam_obj: np.ndarray, rng: np.random.Generator) -> TargetSample:
         model = self.models[index]
         side = 1.4 * model.diameter * LINEMOD_K[0, 0] / T_cam_obj[2, 3]
-        centre = project(T_cam_obj[:3, 3], LINEMOD_K) + rng.normal(0, 3, 2)
-        K = crop_matrix(centre, side, SIDE) @ LINEMOD_K
+        center = project(T_cam_obj[:3, 3], LINEMOD_K) + rng.normal(0, 3, 2)
+        K = crop_matrix(center, side, SIDE) @ LINEMOD_K
         depth = box_depth(model, T_cam_obj, K, (SIDE, SIDE))
         covered = (depth > 0).reshape(32, 4, 32, 4).mean((1, 3)).astype(np.float32)
         return TargetSample(
@@ -41,10 +41,10 @@ class Pairs:
         index = int(rng.integers(len(self.models)))
         first, second = (
             make_transform(
-                Rotation.from_euler("xyz", [2.2 + turn, turn, 0.3]).as_matrix(),
+                Rotation.from_euler("xyz", [2.2 + angle, angle, 0.3]).as_matrix(),
                 np.array([0.02, -0.03, distance]),
             )
-            for turn, distance in ((0.0, 0.8), (0.4, 0.9))
+            for angle, distance in ((0.0, 0.8), (0.4, 0.9))
         )
         views = self.view(index, first, rng), self.view(index, second, rng)
         return *views, second @ invert(first)

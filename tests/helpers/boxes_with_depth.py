@@ -1,4 +1,4 @@
-"""Boxes as an ideal depth sensor sees them, by intersecting each pixel's ray with the box."""
+"""Ideal depth maps of boxes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from two_view_pose.core.geometry import invert, transform
 def box_depth(
     model: ObjectModel, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
 ) -> np.ndarray:
-    """Depth (H, W) float32 of a box alone, 0 beside it: the slab method."""
+    """Depth (H, W) float32 of a box, 0 outside it, by ray-box intersection (slab method)."""
     rows, columns = np.indices(shape)
     rays = np.stack([columns, rows, np.ones(shape)], -1) @ np.linalg.inv(K).T
     T_obj_cam = invert(T_cam_obj)

@@ -1,7 +1,4 @@
-"""What each of two processes does in ``test_distributed.py``: a gradient, and trainings.
-
-It imports nothing of pytest's session.
-"""
+"""Run by each of two processes in ``test_distributed.py``: a gradient, and trainings."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from two_view_pose.pose_estimator.networks.container import PoseNetworks
 from two_view_pose.pose_estimator.training import optimizer
 from two_view_pose.pose_estimator.training.config import STAGE_DEFAULTS, TrainEstimatorConfig
 from two_view_pose.pose_estimator.training.distributed import (
-    in_parallel,
+    data_parallel,
     process_group,
     rank,
     rank_zero_first,
@@ -28,20 +25,20 @@ from two_view_pose.pose_estimator.training.distributed import (
 from two_view_pose.pose_estimator.training.objects import training_objects
 from two_view_pose.pose_estimator.training.stages import DecoderStage, FeatureStage
 from two_view_pose.pose_estimator.training.train_estimator import train_estimator
-from two_view_pose.pose_estimator.training.trainer import _Loss
+from two_view_pose.pose_estimator.training.trainer import StageLoss
 from two_view_pose.pose_estimator.training_data import crop_packing
 from two_view_pose.pose_estimator.training_data.crop_packing import pack_dataset
 from two_view_pose.pose_estimator.training_data.dataset import TrainingSet
 
 BATCH = 4
-"""Samples of all processes together."""
+"""Samples per batch of all ranks."""
 
 STEPS = 3
 CPU = torch.device("cpu")
 
 
 def gradient(dataset: Path) -> dict[str, Tensor]:
-    """The gradient of a batch of one object; batch norms stay as they are."""
+    """Returns the gradient of a batch of one object, with frozen batch norms."""
     torch.manual_seed(0)
     objects = training_objects(dataset, ())
     networks = PoseNetworks(objects)
@@ -53,7 +50,7 @@ def gradient(dataset: Path) -> dict[str, Tensor]:
     stage.bfloat16 = False
     stage.module.eval()
     stage.module.train = lambda mode=True: stage.module  # type: ignore[method-assign]
-    together = in_parallel(_Loss(stage))
+    together = data_parallel(StageLoss(stage))
     together(next(stage.batches(0)))[0].backward()
     return {
         name: (torch.zeros_like(p) if p.grad is None else p.grad).contiguous()
@@ -62,7 +59,7 @@ def gradient(dataset: Path) -> dict[str, Tensor]:
 
 
 def train(dataset: Path, out: Path, stop_at: int | None = None) -> FeatureStage:
-    """A training of 2D features; after ``stop_at`` steps in all, the next one interrupts it."""
+    """Trains 2D features, interrupted after ``stop_at`` steps."""
     loss, count, stages = FeatureStage.loss, 0, []
 
     def interrupted(self: FeatureStage, batch: dict) -> tuple:
@@ -88,12 +85,12 @@ def train(dataset: Path, out: Path, stop_at: int | None = None) -> FeatureStage:
 
 
 def main(dataset: Path, out: Path) -> None:
-    """All of it, and what came of it in files of ``out`` that are named by the process."""
-    said: dict[str, object] = {"packed": 0}
+    """Writes the results into files of ``out`` that are named by the rank."""
+    report: dict[str, object] = {"packed": 0}
     encode = crop_packing.encode_image
 
     def count_packs(*args: Any) -> bytes:
-        said["packed"] = 1
+        report["packed"] = 1
         return encode(*args)
 
     crop_packing.encode_image = count_packs  # type: ignore[assignment]
@@ -111,8 +108,8 @@ def main(dataset: Path, out: Path) -> None:
         try:
             rank_zero_first(partial(int, "none"))
         except ValueError as error:
-            said["error"] = str(error)
-        (out / f"said-{rank()}.json").write_text(json.dumps(said))
+            report["error"] = str(error)
+        (out / f"report-{rank()}.json").write_text(json.dumps(report))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A checkpoint comes back as it went, and whoever is killed while saving leaves the old one."""
+"""Checkpoints round-trip, and a failed save keeps the old one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from torch import nn
 from two_view_pose.pose_estimator.training.checkpoints import (
     load_checkpoint,
-    read_numbers,
+    read_counters,
     save_checkpoint,
 )
 
@@ -23,25 +23,25 @@ def network(value: float, width: int = 3) -> nn.Module:
     return net
 
 
-def test_what_was_saved_is_loaded(tmp_path: Path):
+def test_checkpoint_round_trip(tmp_path: Path):
     path = tmp_path / "features.safetensors"
     state = {"optimizer.0.weight.exp_avg": torch.arange(6.0).reshape(2, 3).T}
     save_checkpoint(path, network(0.5), state, {"step": 12})
     net = network(0.1)
     kept = load_checkpoint(net, path)
-    assert kept.keys() == state.keys() and read_numbers(path) == {"step": 12}
+    assert kept.keys() == state.keys() and read_counters(path) == {"step": 12}
     assert all(torch.equal(kept[name], tensor) for name, tensor in state.items())
     expected = network(0.5).state_dict()
     assert all(torch.equal(net.state_dict()[name], t) for name, t in expected.items())
 
 
-def test_networks_of_another_shape_are_refused(tmp_path: Path):
+def test_networks_of_another_shape_are_rejected(tmp_path: Path):
     save_checkpoint(tmp_path / "a.safetensors", network(0.5), {}, {"step": 1})
     with pytest.raises(ValueError, match="networks of another shape; give another --out"):
         load_checkpoint(network(0.5, width=4), tmp_path / "a.safetensors")
 
 
-def test_a_checkpoint_that_cannot_be_finished_leaves_the_old_one(tmp_path: Path, monkeypatch):
+def test_a_failed_save_keeps_the_old_checkpoint(tmp_path: Path, monkeypatch):
     path = tmp_path / "features.safetensors"
     save_checkpoint(path, network(0.5), {}, {"step": 1})
     before = path.read_bytes()

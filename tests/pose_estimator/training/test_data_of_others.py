@@ -19,7 +19,7 @@ from two_view_pose.core.results import read_results
 from two_view_pose.pose_estimator.bop.models import write_models
 from two_view_pose.pose_estimator.bop.writer import BopFrame, write_camera, write_json, write_scene
 from two_view_pose.pose_estimator.networks.weights import read_header
-from two_view_pose.pose_estimator.training.objects import own_models
+from two_view_pose.pose_estimator.training.objects import dataset_models
 
 NUMBERS = {"bracket": 2, "stairs": 19}
 """What the dataset calls two of the solids; 2 is also our benchvise."""
@@ -28,7 +28,7 @@ NUMBERS = {"bracket": 2, "stairs": 19}
 pytestmark = pytest.mark.usefixtures("tiny_training")
 
 
-def picture(rng: np.random.Generator, azimuth: float, turn: float) -> BopFrame:
+def image(rng: np.random.Generator, azimuth: float, turn: float) -> BopFrame:
     """The bracket and the stairs, seen by a camera that does not say where it stands."""
     places = {"bracket": (-0.1, 0.03, 0.0), "stairs": (0.1, -0.03, 0.0)}
     T_world_obj = {
@@ -47,12 +47,12 @@ def picture(rng: np.random.Generator, azimuth: float, turn: float) -> BopFrame:
 
 @pytest.fixture(scope="module")
 def others(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two scenes of three pictures to train on, and one to test on."""
+    """Two scenes of three images to train on, and one to test on."""
     root = tmp_path_factory.mktemp("others") / "ycbv"
     rng = np.random.default_rng(3)
     for split, scene_id in (("train_real", 0), ("train_real", 5), ("test", 48)):
         turn = rng.uniform(-40, 40)
-        frames = [picture(rng, azimuth, turn) for azimuth in (0, 25, 50)]
+        frames = [image(rng, azimuth, turn) for azimuth in (0, 25, 50)]
         folder = write_scene(root, split, scene_id, frames, jpeg_quality=None)
         assert "cam_R_w2c" not in (folder / "scene_camera.json").read_text()
         assert (folder / "rgb" / "000000.png").is_file()
@@ -93,7 +93,7 @@ def test_their_own_models_are_trained_and_measured(others: Path, tmp_path: Path,
     assert main(f"evaluate --data {others} {known}".split()) == 0
     records = read_results(results)["records"]
     counted = {r["object"]: r["n"] for r in records if r["metric"] == "add_s_recall"}
-    # Three pictures pair six ways; whichever objects stood still count.
+    # Three images pair six ways; whichever objects stood still count.
     assert counted == {"obj_000002": 6, "obj_000019": 6, "mean": 12}
 
 
@@ -110,9 +110,9 @@ def test_a_split_that_is_not_there_is_answered_with_those_that_are(others, tmp_p
 
 
 def test_our_own_data_is_of_our_thirteen(tmp_path: Path):
-    assert own_models(tmp_path) is None  # no models at all
+    assert dataset_models(tmp_path) is None  # no models at all
     write_models(tmp_path, [load_object("ape"), load_object("can")])
-    assert own_models(tmp_path) is None
+    assert dataset_models(tmp_path) is None
 
 
 def test_a_scan_that_bears_one_of_our_names_is_not_ours(tmp_path: Path):
@@ -120,11 +120,11 @@ def test_a_scan_that_bears_one_of_our_names_is_not_ours(tmp_path: Path):
     scan = replace(solid("bracket"), name="ape", obj_id=1)
     write_models(tmp_path, [scan, load_object("can")])
     scanned = tmp_path / "models" / "obj_000001.ply"
-    assert own_models(tmp_path) == [str(scanned), "can"]
+    assert dataset_models(tmp_path) == [str(scanned), "can"]
 
 
 def test_what_only_stood_around_is_not_trained(tmp_path: Path):
     write_models(tmp_path, [solid("bracket"), load_object("can")])
     manifest = {"settings": {"objects": ["bracket"], "distractors": ["can"]}}
     (tmp_path / "manifest.json").write_text(json.dumps(manifest))
-    assert own_models(tmp_path) == [str(tmp_path / "models" / "obj_000001.ply")]
+    assert dataset_models(tmp_path) == [str(tmp_path / "models" / "obj_000001.ply")]

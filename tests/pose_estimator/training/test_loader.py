@@ -1,4 +1,4 @@
-"""Batches are the same whoever draws them, and workers leave nothing behind."""
+"""Batches do not depend on the workers, and workers end with their batches."""
 
 import contextlib
 import multiprocessing
@@ -21,7 +21,7 @@ def training(pack: CropPack, boxes) -> TrainingSet:
     return TrainingSet(pack, boxes, FeatureConfig())
 
 
-def test_batch_n_is_the_same_whatever_came_before_and_whoever_draws_it(training):
+def test_batch_n_does_not_depend_on_previous_batches_or_workers(training):
     batches = NumberedBatches(partial(draw_crop, training), 3, seed=5)
 
     def drawn(numbers: range, workers: int) -> list[dict[str, torch.Tensor]]:
@@ -32,7 +32,7 @@ def test_batch_n_is_the_same_whatever_came_before_and_whoever_draws_it(training)
     for a, b in zip(whole[2:], rest, strict=True):
         assert all(torch.equal(a[name], b[name]) for name in a)
     assert not torch.equal(whole[0]["crop"], whole[1]["crop"])
-    torch.rand(3)  # what others draw does not matter
+    torch.rand(3)  # the global generator does not matter
     assert torch.equal(drawn(range(1), 0)[0]["K"], whole[0]["K"])
 
 
@@ -59,13 +59,10 @@ def _threads(rng: np.random.Generator) -> dict[str, int]:
     return {"torch": torch.get_num_threads(), "opencv": cv2.getNumThreads()}
 
 
-def test_what_a_worker_is_sent_holds_no_images(training, pack):
+def test_pickled_batches_hold_no_images(training, pack):
     # Where workers are not forked, the dataset is pickled: as the names of its files.
     batches = NumberedBatches(partial(draw_crop, training), 2, seed=5)
     sent = pickle.dumps(batches)
     assert bytes(pack.crops[:1000]) not in sent and bytes(pack.frames[:1000]) not in sent
-    again, first = (
-        pickle.loads(sent)[0],
-        NumberedBatches(partial(draw_crop, training), 2, seed=5)[0],
-    )
+    again, first = pickle.loads(sent)[0], batches[0]
     assert all(torch.equal(again[name], first[name]) for name in first)

@@ -10,7 +10,6 @@ from two_view_pose.pose_estimator.training.losses import (
     direction_loss,
     distribution_loss,
     keypoint_loss,
-    mask_loss,
     pose_loss,
 )
 
@@ -29,12 +28,12 @@ def test_distribution_loss_is_the_kl_divergence_to_the_gaussian():
     assert float(distribution_loss(own, cells, keypoints, torch.tensor([0.03]))) < 1e-4
 
 
-def test_pose_loss_of_a_known_turn_and_shift():
+def test_pose_loss_of_a_known_rotation_and_translation():
     angle = 0.4
     truth = torch.eye(4)[None]
-    turned = torch.from_numpy(Rotation.from_rotvec([0, angle, 0]).as_matrix()).float()[None]
+    rotated = torch.from_numpy(Rotation.from_rotvec([0, angle, 0]).as_matrix()).float()[None]
     loss = pose_loss(
-        turned, torch.tensor([[0.03, 0.0, 0.04]]), truth, torch.tensor([0.1]), alpha=0.3
+        rotated, torch.tensor([[0.03, 0.0, 0.04]]), truth, torch.tensor([0.1]), alpha=0.3
     )
     # |R - I|_F = 2 sqrt(2) sin(angle / 2)
     expected = 0.5 + 0.3 * 2 * np.sqrt(2) * np.sin(angle / 2)
@@ -55,7 +54,7 @@ def test_keypoint_loss_is_the_distance_in_diameters():
     assert float(keypoint_loss(predicted, truth, torch.tensor([0.1, 0.2]))) == pytest.approx(0.375)
 
 
-def test_direction_loss_looks_at_the_object_only():
+def test_direction_loss_ignores_the_background():
     target = torch.zeros(1, 9, 2, 8, 8)
     target[:, :, 0] = 1
     mask = torch.zeros(1, 8, 8)
@@ -64,10 +63,3 @@ def test_direction_loss_looks_at_the_object_only():
     assert float(direction_loss(wrong_outside, target, mask)) == 0
     assert float(direction_loss(-target, target, mask)) == pytest.approx(2 - 0.1)
     assert float(direction_loss(-target, target, torch.zeros(1, 8, 8))) == 0
-
-
-def test_mask_loss_is_cross_entropy():
-    logits, mask = torch.tensor([[[2.0, -1.0]]]), torch.tensor([[[1.0, 0.25]]])
-    p = torch.sigmoid(logits)
-    expected = -(mask * p.log() + (1 - mask) * (1 - p).log()).mean()
-    assert float(mask_loss(logits, mask)) == pytest.approx(float(expected))

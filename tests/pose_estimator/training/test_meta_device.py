@@ -46,7 +46,7 @@ STAGES = {
 
 
 class DeepPairs(Pairs):
-    """Stands in for a TrainingSet of pictures with depth."""
+    """Stands in for a TrainingSet of images with depth."""
 
     def draw_target(self, rng: np.random.Generator) -> TargetSample:
         return self.draw_pair(rng)[0]

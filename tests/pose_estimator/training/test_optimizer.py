@@ -1,4 +1,4 @@
-"""Muon on views of the filters, AdamW on the rest: both must reach the parameters themselves."""
+"""Muon on views of the filters, AdamW on the rest: both update the parameters in place."""
 
 import pytest
 import torch
@@ -24,7 +24,7 @@ def train(net: nn.Module, optimizer: HybridOptimizer, first: int, last: int) -> 
 
 
 @pytest.fixture(params=[False, True], autouse=True)
-def _on_either_kind_of_processor(request, monkeypatch) -> None:
+def _with_and_without_bfloat16(request, monkeypatch) -> None:
     monkeypatch.setattr(optimizer, "uses_bfloat16", lambda device: request.param)
 
 
@@ -41,7 +41,7 @@ def test_every_parameter_moves_and_the_update_of_filters_is_orthogonal(memory_fo
     assert singular.min() > 0.4 * singular.max()
 
 
-def test_both_memory_layouts_learn_the_same():
+def test_both_memory_formats_give_the_same_updates():
     nets = [network(torch.contiguous_format), network(torch.channels_last)]
     for net in nets:
         train(net, HybridOptimizer(net, 0.02, weight_decay=0.0), 0, 3)
@@ -50,7 +50,7 @@ def test_both_memory_layouts_learn_the_same():
         assert torch.allclose(a, b, atol=2e-3)
 
 
-def test_frozen_parameters_stay_and_state_goes_on():
+def test_frozen_parameters_stay_and_state_resumes():
     whole, halves, resumed = (network(torch.channels_last) for _ in range(3))
     for net in (whole, halves, resumed):
         net[3].bias.requires_grad_(False)
@@ -67,7 +67,7 @@ def test_frozen_parameters_stay_and_state_goes_on():
 
 
 @pytest.mark.parametrize("shape", [(24, 144), (144, 24), (16, 16)])
-def test_muon_in_float32_does_as_pytorchs(shape):
+def test_float32_muon_equals_pytorchs(shape):
     torch.manual_seed(1)
     start = torch.randn(shape)
     ends = []

@@ -1,4 +1,4 @@
-"""The training of the points: its losses by hand, and that it learns from depth alone."""
+"""Training of the points: losses by hand, learning from depth alone."""
 
 from types import SimpleNamespace
 
@@ -25,13 +25,13 @@ from two_view_pose.pose_estimator.training.point_stage import (
 )
 from two_view_pose.pose_estimator.training_data.crops import CropPack
 from two_view_pose.pose_estimator.training_data.dataset import TrainingSet
-from two_view_pose.pose_estimator.training_data.target_sample import TargetSample, arrays_of
+from two_view_pose.pose_estimator.training_data.target_sample import TargetSample, target_arrays
 
 SIDE = 128
 
 
 class MaskFromColor(nn.Module):
-    """Stands in for the 2D network: bright pixels are the object, and nothing else is known."""
+    """Stub of the 2D network: bright pixels are the object."""
 
     config = FeatureConfig()
 
@@ -46,7 +46,7 @@ class MaskFromColor(nn.Module):
 
 
 class Crops:
-    """Stands in for a TrainingSet: boxes before a wall, one of a few poses each."""
+    """Stub of a TrainingSet: boxes in front of a wall, in a few poses each."""
 
     def __init__(self, boxes, count: int):
         self.models = list(boxes.values())
@@ -79,9 +79,9 @@ class Crops:
 
 
 def exact(samples: list[TargetSample]) -> Batch:
-    """A batch of samples with the depth that they have."""
+    """A batch of samples without depth noise."""
     seeds = enumerate(samples)
-    return collate([{**arrays_of(s), "depth": s.depth, "points_seed": n} for n, s in seeds])
+    return collate([{**target_arrays(s), "depth": s.depth, "points_seed": n} for n, s in seeds])
 
 
 @pytest.fixture
@@ -99,7 +99,7 @@ def make_stage(boxes):
     return make
 
 
-def test_a_dataset_without_depth_is_refused(pack: CropPack, boxes, networks: PoseNetworks):
+def test_a_dataset_without_depth_is_rejected(pack: CropPack, boxes, networks: PoseNetworks):
     training = TrainingSet(pack, boxes, networks.features.config)
     stage = PointStage(networks, training, training, steps=1, batch=1, learning_rate=1.0, seed=0)
     networks.requires_grad_(True)
@@ -107,7 +107,7 @@ def test_a_dataset_without_depth_is_refused(pack: CropPack, boxes, networks: Pos
         stage.batches(0)
 
 
-def test_points_learn_a_few_poses_from_their_shape_alone(make_stage):
+def test_points_overfit_to_a_few_poses(make_stage):
     stage = make_stage(2)
     batch = exact(stage.train.samples)
     optimizer = torch.optim.Adam(stage.module.parameters(), 3e-3)
@@ -128,7 +128,7 @@ def test_the_same_batch_gives_the_same_loss(make_stage):
     stage = make_stage(3)
     first, again = (float(stage.loss(exact(stage.train.samples))[0].detach()) for _ in range(2))
     assert first == again
-    # One that shows nothing is left out, and a batch of such still has a (zero) gradient.
+    # A batch without enough points has a zero loss and gradient.
     blank = exact(stage.train.samples[:1])
     blank["crop"].zero_()
     loss, _ = stage.loss(blank)
@@ -136,7 +136,7 @@ def test_the_same_batch_gives_the_same_loss(make_stage):
     assert float(loss.detach()) == 0
 
 
-def test_batches_are_noisy_and_go_on_from_any_number(make_stage):
+def test_batches_have_sensor_noise_and_resume_from_any_number(make_stage):
     stage = make_stage(3)
     source = stage.batches(0)
     first, second = next(source), next(source)
@@ -153,19 +153,19 @@ def test_batches_are_noisy_and_go_on_from_any_number(make_stage):
     )
 
 
-def test_symmetric_objects_may_answer_with_any_equivalent_pose(make_stage, boxes):
+def test_nearest_equivalent_pose_of_symmetric_objects(make_stage, boxes):
     stage = make_stage(2)
     T = torch.from_numpy(stage.train.samples[1].T_cam_obj).float().expand(2, 4, 4)
     crate = boxes["crate"]
-    turned = (T[0].double().numpy() @ crate.symmetries[1])[:3]
-    keypoints = torch.from_numpy(crate.keypoints @ turned[:, :3].T + turned[:, 3]).float()
-    answers = torch.stack([keypoints, keypoints])
-    chosen = stage.nearest_equivalent(answers, T, torch.tensor([1, 0]))
-    np.testing.assert_allclose(chosen[0][:3], turned, atol=1e-6)  # the crate is symmetric
+    rotated = (T[0].double().numpy() @ crate.symmetries[1])[:3]
+    keypoints = torch.from_numpy(crate.keypoints @ rotated[:, :3].T + rotated[:, 3]).float()
+    predicted = torch.stack([keypoints, keypoints])
+    chosen = stage.nearest_equivalent(predicted, T, torch.tensor([1, 0]))
+    np.testing.assert_allclose(chosen[0][:3], rotated, atol=1e-6)  # the crate is symmetric
     assert torch.equal(chosen[1], T[1])  # the brick is not
 
 
-def test_losses_of_votes_by_hand():
+def test_vote_losses_by_hand():
     truth = torch.zeros(1, 9, 3)
     candidates = torch.zeros(1, 3, 9, 3)
     candidates[0, 0, :, 0] = 0.02  # a tenth of the diameter
@@ -174,21 +174,21 @@ def test_losses_of_votes_by_hand():
     log_error = torch.full((1, 3, 9), float(np.log(0.1)), requires_grad=True)
     candidates.requires_grad_()
     votes = PointVotes(candidates, log_error, truth, truth)
-    offset, sure = vote_losses(
+    offset, confidence = vote_losses(
         votes, truth, torch.tensor([[True, True, False]]), torch.tensor([0.2])
     )
     assert float(offset.detach()) == pytest.approx((0.1 + 0.3) / 2)
-    assert float(sure.detach()) == pytest.approx((1 + 3) / 2 + np.log(0.1))
-    sure.backward()
+    assert float(confidence.detach()) == pytest.approx((1 + 3) / 2 + np.log(0.1))
+    confidence.backward()
     assert candidates.grad is None
     # The best width is the error itself: there the slope is zero, and beyond it is negative.
     np.testing.assert_allclose(log_error.grad[0, :2, 0], [0, -2 / 18], atol=1e-6)
 
 
-def test_validation_is_of_the_held_out_crops(make_stage):
+def test_validation_is_deterministic(make_stage):
     stage = make_stage(2)
     stage.validation = (1, 32)
-    figures = stage.validate()
-    assert set(figures) == {"keypoint_over_diameter", "add_recall"}
-    assert 0 <= figures["add_recall"] <= 1 and figures["keypoint_over_diameter"] > 0
-    assert figures == stage.validate()
+    metrics = stage.validate()
+    assert set(metrics) == {"keypoint_over_diameter", "add_recall"}
+    assert 0 <= metrics["add_recall"] <= 1 and metrics["keypoint_over_diameter"] > 0
+    assert metrics == stage.validate()

@@ -109,7 +109,7 @@ def test_a_budget_ends_in_weights_and_the_same_command_goes_on(
 
 @pytest.fixture
 def dataset_with_depth(dataset: Path, boxes, tmp_path: Path) -> Path:
-    """Two pictures of each of two scenes, with the depth of the boxes alone."""
+    """Two images of each of two scenes, with the depth of the boxes alone."""
     models = {model.obj_id: model for model in boxes.values()}
     source = read_dataset(dataset, "train_pbr")
     for scene_id in source.scene_ids[:2]:

@@ -1,4 +1,4 @@
-"""The loop: killed and resumed is as never killed; it learns; it stops at nonsense."""
+"""The training loop: bit-equal after a kill, learns, stops at a non-finite loss."""
 
 import math
 import time
@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import CosineAnnealingLR, LinearLR
-from two_view_pose.pose_estimator.training.checkpoints import load_checkpoint, read_numbers
+from two_view_pose.pose_estimator.training.checkpoints import load_checkpoint, read_counters
 from two_view_pose.pose_estimator.training.optimizer import HybridOptimizer
 from two_view_pose.pose_estimator.training.trainer import LoopConfig, learning_rate, run_stage
 
@@ -54,7 +54,7 @@ def silent(stage: str, step: int, numbers: dict) -> None:
     pass
 
 
-def test_a_killed_run_continues_to_the_same_bits(tmp_path: Path):
+def test_a_killed_run_resumes_bit_equal(tmp_path: Path):
     whole = LineStage(20)
     run_stage(whole, LoopConfig(tmp_path / "whole"), silent)
 
@@ -62,7 +62,7 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path: Path):
     out = tmp_path / "killed"
     with pytest.raises(KeyboardInterrupt):
         run_stage(LineStage(20, fail_at=6), LoopConfig(out, checkpoint_every=-1.0), silent)
-    assert read_numbers(out / "line.safetensors")["step"] == 6
+    assert read_counters(out / "line.safetensors")["step"] == 6
     resumed = LineStage(20)
     run_stage(resumed, LoopConfig(out), silent)
     assert resumed.drawn[0] == 6
@@ -71,7 +71,7 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path: Path):
     assert [path.name for path in out.iterdir()] == ["line.safetensors"]
 
 
-def test_a_run_out_of_time_continues_to_the_same_bits(tmp_path: Path):
+def test_a_run_past_its_deadline_resumes_bit_equal(tmp_path: Path):
     whole, late, resumed = (LineStage(20) for _ in range(3))
     assert run_stage(whole, LoopConfig(tmp_path / "whole"), silent) == 20
     out = tmp_path / "late"
@@ -82,19 +82,19 @@ def test_a_run_out_of_time_continues_to_the_same_bits(tmp_path: Path):
         assert torch.equal(tensor, resumed.module.state_dict()[name]), name
 
 
-def test_a_finished_stage_is_restored_and_not_trained_again(tmp_path: Path):
+def test_a_finished_stage_is_not_trained_again(tmp_path: Path):
     first, again = LineStage(10), LineStage(10)
     run_stage(first, LoopConfig(tmp_path), silent)
     run_stage(again, LoopConfig(tmp_path), silent)
     assert again.drawn == []
     for a, b in zip(first.module.parameters(), again.module.parameters(), strict=True):
         assert torch.equal(a, b)
-    anew = LineStage(10)
-    run_stage(anew, LoopConfig(tmp_path, resume=False), silent)
-    assert anew.drawn[0] == 0
+    restarted = LineStage(10)
+    run_stage(restarted, LoopConfig(tmp_path, resume=False), silent)
+    assert restarted.drawn[0] == 0
 
 
-def test_it_learns_and_writes_what_it_does(tmp_path: Path):
+def test_it_learns_and_logs(tmp_path: Path):
     entries: list[tuple[str, int, dict]] = []
     stage = LineStage(300)
     frozen = stage.module.state_dict()["0.bias"].clone()
@@ -108,7 +108,7 @@ def test_it_learns_and_writes_what_it_does(tmp_path: Path):
     assert torch.equal(frozen, stage.module.state_dict()["0.bias"])
 
 
-def test_nonsense_stops_the_run_before_it_is_saved(tmp_path: Path):
+def test_a_non_finite_loss_stops_before_the_checkpoint(tmp_path: Path):
     stage = LineStage(50)
     config = LoopConfig(tmp_path, checkpoint_every=-1.0)
     good = stage.loss
@@ -120,13 +120,13 @@ def test_nonsense_stops_the_run_before_it_is_saved(tmp_path: Path):
     stage.loss = bad  # type: ignore[method-assign]
     with pytest.raises(FloatingPointError, match="line: the loss is nan at step 3"):
         run_stage(stage, config, silent)
-    assert read_numbers(tmp_path / "line.safetensors")["step"] == 3
+    assert read_counters(tmp_path / "line.safetensors")["step"] == 3
     tensors = load_file(tmp_path / "line.safetensors")
     assert all(torch.isfinite(t).all() for t in tensors.values())
 
 
-def test_learning_rate_warms_up_and_falls_to_a_hundredth():
-    """As PyTorch's own schedulers do, one after the other."""
+def test_learning_rate_warmup_and_cosine_annealing():
+    """Equal to PyTorch's own schedulers in sequence."""
     steps, cycle, warm_up = 2500, 1250, 200
     optimizer = torch.optim.SGD([nn.Parameter(torch.zeros(1))], lr=0.01)
     schedule = torch.optim.lr_scheduler.SequentialLR(
@@ -148,13 +148,13 @@ def test_learning_rate_warms_up_and_falls_to_a_hundredth():
         assert found == pytest.approx(expected, rel=1e-6)
 
 
-def test_short_cycles_warm_up_in_a_fifth_and_the_last_may_be_shorter():
+def test_learning_rate_of_short_cycles():
     rates = [learning_rate(step, 20, 1.0, 3) for step in range(20)]  # of 7, 7 and 6 steps
     assert [step for step, rate in enumerate(rates) if rate == 1.0] == [1, 2, 8, 9, 15, 16]
     assert rates[:7] == rates[7:14] and rates[14:16] == rates[:2] and rates[19] < rates[6] * 2
 
 
-def test_optimizer_state_survives(tmp_path: Path):
+def test_optimizer_state_is_restored(tmp_path: Path):
     run_stage(LineStage(20), LoopConfig(tmp_path), silent)
     other = LineStage(20)
     optimizer = HybridOptimizer(other.module, 0.05)
@@ -163,7 +163,7 @@ def test_optimizer_state_survives(tmp_path: Path):
     assert len(counts) == len(optimizer.parameters) and all(float(t) == 20 for t in counts)
 
 
-def test_the_weights_of_several_cycles_are_averaged(tmp_path: Path, monkeypatch):
+def test_swa_of_several_cycles(tmp_path: Path, monkeypatch):
     rates: list[float] = []
     weights: list[list[Tensor]] = []
     step = HybridOptimizer.step

@@ -1,4 +1,4 @@
-"""Options of the command that change what is trained, and where it starts."""
+"""Options of ``train-estimator``: what is trained, and from which weights."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from two_view_pose.pose_estimator.training.train_estimator import train_estimato
 from two_view_pose.pose_estimator.training.volume_stage import VolumeStage
 from two_view_pose.pose_estimator.training_data.crops import CropPack
 from two_view_pose.pose_estimator.training_data.cut_and_paste import CropPaster, CutAndPasteConfig
-from two_view_pose.pose_estimator.training_data.dataset import TrainingSet
 
 
 @pytest.fixture
@@ -33,7 +32,7 @@ def finished(boxes, tmp_path: Path) -> Path:
 
 
 def quick(monkeypatch, boxes) -> None:
-    """Lets a training take a second."""
+    """Makes a training take a second."""
     monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
     monkeypatch.setattr(VolumeStage, "validate", lambda self: {"figure": 0.5})
     one = replace(training_config.PAPER_VOLUME, batch=1)
@@ -41,7 +40,7 @@ def quick(monkeypatch, boxes) -> None:
     monkeypatch.setattr(training_config, "PAPER_VOLUME", one)
 
 
-def test_a_paper_volume_is_trained_on_finished_features(
+def test_a_paper_volume_is_trained_on_trained_features(
     dataset: Path, pack: CropPack, boxes, finished: Path, tmp_path: Path, monkeypatch, capsys
 ):
     quick(monkeypatch, boxes)
@@ -49,10 +48,10 @@ def test_a_paper_volume_is_trained_on_finished_features(
     coarse = replace(PRESETS["paper"].coarse, cells=6)
     fine = LevelConfig(cells=None, half_size=0.65, cell_size=0.03)
     monkeypatch.setitem(PRESETS, "paper", replace(PRESETS["paper"], coarse=coarse, fine=fine))
-    heard = []
+    losses = []
     loss = VolumeStage.loss
     monkeypatch.setattr(
-        VolumeStage, "loss", lambda self, batch: heard.append(loss(self, batch)) or heard[-1]
+        VolumeStage, "loss", lambda self, batch: losses.append(loss(self, batch)) or losses[-1]
     )
     path = train_estimator(
         TrainEstimatorConfig(
@@ -61,7 +60,7 @@ def test_a_paper_volume_is_trained_on_finished_features(
             pose_noise=(1.0, 5.0), pose_loss=0.5,
         )
     )  # fmt: skip
-    ((_, parts),) = heard
+    ((_, parts),) = losses
     assert {"coarse_pose", "pose", "coarse_distance", "fine_distance"} <= set(parts)
     header = read_header(path)
     assert header["networks"]["preset"] == "paper"
@@ -76,7 +75,7 @@ def test_a_paper_volume_is_trained_on_finished_features(
     assert "does not fit and starts untrained: volume" in capsys.readouterr().out
 
 
-def test_options_reach_the_stage_in_meters_and_the_sets(
+def test_pose_noise_and_cut_and_paste_options_reach_the_stage(
     dataset: Path, pack: CropPack, boxes, finished: Path, tmp_path: Path, monkeypatch
 ):
     quick(monkeypatch, boxes)
@@ -107,7 +106,7 @@ def test_options_reach_the_stage_in_meters_and_the_sets(
     assert len(pasted) == 1
 
 
-def test_a_new_volume_leaves_the_parts_that_do_not_read_it(
+def test_a_new_volume_keeps_the_other_parts(
     dataset: Path, pack: CropPack, boxes, tmp_path: Path, monkeypatch
 ):
     quick(monkeypatch, boxes)
@@ -128,34 +127,28 @@ def test_a_new_volume_leaves_the_parts_that_do_not_read_it(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"pose_noise": (-1.0, 0.0)}, "pose_noise must be finite and at least 0"),
+        ({"pose_noise": (-1.0, 0.0)}, "pose_noise must be finite and >= 0"),
         ({"pose_noise": (0.0, float("inf"))}, "pose_noise must be finite"),
-        ({"pose_loss": -0.1}, "pose_loss must be finite and at least 0, got -0.1"),
-        ({"workers": -1}, "workers must be at least 0, got -1"),
-        ({"max_minutes": float("inf")}, "max_minutes must be finite and at least 0, got inf"),
-        ({"lr_cycles": 0}, "lr_cycles must be at least 1, got 0"),
+        ({"pose_loss": -0.1}, "pose_loss must be >= 0, got -0.1"),
+        ({"workers": -1}, "workers must be >= 0, got -1"),
+        ({"max_minutes": float("inf")}, "max_minutes must be >= 0, got inf"),
+        ({"lr_cycles": 0}, "lr_cycles must be >= 1, got 0"),
         ({"cut_and_paste": 1.2}, "cut_and_paste must be 0 to 1, got 1.2"),
     ],
 )
-def test_wrong_options_are_told(tmp_path: Path, options, message):
+def test_invalid_options_are_rejected(tmp_path: Path, options, message):
     with pytest.raises(ValueError, match=message):
         TrainEstimatorConfig(data=tmp_path, out=tmp_path, **options)
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA GPU")
-def test_a_gpu_that_is_not_there_is_told_before_any_work(dataset: Path, tmp_path: Path):
+def test_a_missing_gpu_is_reported_before_any_work(dataset: Path, tmp_path: Path):
     with pytest.raises(ValueError, match=r"device 'cuda:3': .* use cpu or auto"):
         train_estimator(TrainEstimatorConfig(data=dataset, out=tmp_path / "out", device="cuda:3"))
     assert not (tmp_path / "out").exists()
 
 
-def test_one_scene_is_told_before_any_training(boxes, pack: CropPack):
-    alone = replace(pack, scene_id=pack.scene_id * 0)
-    with pytest.raises(ValueError, match="Generate more scenes"):
-        TrainingSet(alone, boxes, PoseNetworks(boxes).config.features)
-
-
-def test_a_dataset_that_is_not_there_is_named_first(tmp_path, monkeypatch):
+def test_a_missing_dataset_is_reported_first(tmp_path, monkeypatch):
     monkeypatch.delenv("BOP_PATH", raising=False)
     with pytest.raises(ValueError, match=r"no dataset .*nowhere: .* set BOP_PATH"):
         train_estimator(TrainEstimatorConfig(data=tmp_path / "nowhere", out=tmp_path / "out"))

@@ -1,4 +1,4 @@
-"""Weights for other objects: what both know answers alike, what is new is told."""
+"""Transfer of weights of other objects: shared objects keep their outputs, new ones are listed."""
 
 from __future__ import annotations
 
@@ -34,27 +34,27 @@ def fresh(boxes) -> PoseNetworks:
     return PoseNetworks(boxes)
 
 
-def test_shared_objects_answer_as_they_did(three, fresh, boxes):
+def test_shared_objects_keep_their_outputs(three, fresh, boxes):
     transfer = transfer_weights(three, fresh)
     assert transfer.known == ("brick", "crate") and not transfer.new and not transfer.incomplete
     assert fresh.trained == three.trained
     fresh.eval()
-    pictures = torch.rand(1, 3, 240, 320, generator=torch.Generator().manual_seed(0)) * 255
+    images = torch.rand(1, 3, 240, 320, generator=torch.Generator().manual_seed(0)) * 255
     with torch.no_grad():
         for name in boxes:
             mine, theirs = fresh.index[name], three.index[name]
             ours, before = (
-                n.features(pictures[..., :128, :128], torch.tensor([i]))
+                n.features(images[..., :128, :128], torch.tensor([i]))
                 for n, i in ((fresh, mine), (three, theirs))
             )
             assert all(torch.allclose(a, b, atol=1e-4) for a, b in zip(ours, before, strict=True))
-            for a, b in zip(fresh.detector(pictures), three.detector(pictures), strict=True):
+            for a, b in zip(fresh.detector(images), three.detector(images), strict=True):
                 assert torch.allclose(a[:, mine], b[:, theirs], atol=1e-4)
 
 
-def test_a_new_object_keeps_its_own_start(three, boxes):
+def test_a_new_object_keeps_its_initial_weights(three, boxes):
     torch.manual_seed(3)
-    # It bears a known name, and is another object.
+    # Another object with a known name.
     other = replace(boxes["crate"], keypoints=boxes["crate"].keypoints + 0.01)
     networks = PoseNetworks({"brick": boxes["brick"], "crate": other})
     row = networks.features.head_weight[1].clone()
@@ -69,7 +69,7 @@ def test_a_new_object_keeps_its_own_start(three, boxes):
     assert "new: crate in detector, features; known before: brick" in str(transfer)
 
 
-def test_own_decoders_go_with_their_objects(three, boxes):
+def test_own_decoders_follow_their_objects(three, boxes):
     torch.manual_seed(4)
     three.features.split_decoders()
     for number, decoder in enumerate(three.features.decoders):
@@ -89,7 +89,7 @@ def test_own_decoders_go_with_their_objects(three, boxes):
 
 
 def test_every_tensor_that_depends_on_the_objects_is_loaded(three, fresh):
-    """One that was not known as such would be refused: it has other rows."""
+    """A tensor missing from the list would be rejected: it has another number of rows."""
     three.trained = frozenset(PARTS)
     try:
         transfer = transfer_weights(three, fresh)
@@ -104,7 +104,7 @@ def test_every_tensor_that_depends_on_the_objects_is_loaded(three, fresh):
     assert {name.split(".")[0] for name in depending} == {"detector", "features", "points"}
 
 
-def test_a_volume_of_another_preset_is_left(three, boxes):
+def test_a_volume_of_another_preset_is_skipped(three, boxes):
     networks = PoseNetworks(boxes, NetworkConfig(preset="paper"))
     before = networks.volume.coarse.output.weight.clone()
     transfer = transfer_weights(three, networks)
@@ -113,7 +113,7 @@ def test_a_volume_of_another_preset_is_left(three, boxes):
     assert "starts untrained: volume" in str(transfer)
 
 
-def test_untrained_parts_are_not_taken(three, fresh):
+def test_untrained_parts_are_not_loaded(three, fresh):
     three.trained = frozenset({"features"})
     try:
         assert transfer_weights(three, fresh).parts == ("features",)
@@ -122,7 +122,7 @@ def test_untrained_parts_are_not_taken(three, fresh):
     assert not torch.equal(fresh.detector.head.weight[0], three.detector.head.weight[1])
 
 
-def test_networks_of_another_shape_are_refused(three, boxes):
+def test_networks_of_another_shape_are_rejected(three, boxes):
     config = replace(three.config, features=replace(three.config.features, width=32))
     with pytest.raises(ValueError, match="networks of another shape"):
         transfer_weights(three, PoseNetworks(boxes, config))
@@ -143,7 +143,7 @@ def test_new_objects_must_be_trained(three, boxes, tmp_path: Path, capsys):
     ):
         start_from(config, networks)
     start_from(replace(config, stages=PARTS[:2]), networks)
-    # Unless told otherwise the stages are those that learn the new object on the 2D features.
+    # The default stages train the new object on the 2D features.
     start_from(replace(config, stages=()), networks)
     assert "loaded: detector, features, volume" in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""The volume's training: what its losses hold, where their gradients go, what noise reaches."""
+"""Training of the volume: gradients of the pose loss, and pose noise."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def pairs(stage) -> Batch:
 
 
 def drawn(stage: VolumeStage) -> Batch:
-    """The same two pairs each time, told with the stage's noise."""
-    draw, rng = stage.drawing(), np.random.default_rng
+    """The same two pairs each time, with the stage's pose noise."""
+    draw, rng = stage.sample_function(stage.train), np.random.default_rng
     return collate([draw(rng(number)) for number in range(2)])
 
 
@@ -53,7 +53,7 @@ def test_the_pose_loss_trains_the_features(stage, pairs):
         arguments[0].features.retain_grad()
         lifted.append(arguments[0].features)
 
-    # Where the fine volume stands has no gradient, so it stays where it is.
+    # The placement of the fine volume has no gradient, so it is kept fixed.
     first: list[LevelOutput] = []
 
     def stay(module: torch.nn.Module, arguments: tuple, output: LevelOutput) -> LevelOutput:
@@ -86,17 +86,17 @@ def test_the_pose_loss_trains_the_features(stage, pairs):
 def test_pose_noise_moves_the_second_view_and_nothing_else(stage, monkeypatch):
     seen = []
 
-    class Heard(Exception):
+    class Captured(Exception):
         pass
 
-    def hear(views, guess, diameter):
+    def capture(views, guess, diameter):
         seen.append((views, guess))
-        raise Heard
+        raise Captured
 
-    monkeypatch.setattr(stage.networks.volume, "forward", hear)
+    monkeypatch.setattr(stage.networks.volume, "forward", capture)
     for noise in ((0.0, 0.0), (2.0, 0.01)):
         stage.pose_noise = noise
-        with pytest.raises(Heard):
+        with pytest.raises(Captured):
             stage.forward(drawn(stage))
     (exact, guess), (noisy, same_guess) = seen
     assert torch.equal(guess, same_guess)

@@ -15,7 +15,7 @@ from two_view_pose.pose_estimator.training_data.crops import STORED_SCALE, STORE
 
 
 def dot(position: tuple[float, float], sigma: float) -> np.ndarray:
-    """A picture (480, 640, 3) of a bright Gaussian dot."""
+    """A image (480, 640, 3) of a bright Gaussian dot."""
     columns, rows = np.meshgrid(np.arange(640), np.arange(480))
     distance = (columns - position[0]) ** 2 + (rows - position[1]) ** 2
     gray = np.round(255 * np.exp(-distance / (2 * sigma**2))).astype(np.uint8)
@@ -31,10 +31,10 @@ def centroid(crop: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("side", [60.0, 128.0, 183.0, 250.0, 330.0, 411.0])
 def test_a_dot_lands_where_the_affine_map_says(side):
     position = (301.3, 222.6)
-    picture = dot(position, side / 20)
+    image = dot(position, side / 20)
     affine = crop_matrix(np.array([310.7, 228.2]), side, 128)
     expected = (affine @ [*position, 1])[:2]
-    assert np.abs(centroid(warp_crop(picture, affine, 128)) - expected).max() < 0.05
+    assert np.abs(centroid(warp_crop(image, affine, 128)) - expected).max() < 0.05
 
 
 def test_a_turned_crop_keeps_positions_too():
@@ -65,9 +65,9 @@ def test_shrinking_averages():
 @pytest.mark.parametrize("side", [60.0, 400.0])
 def test_outside_of_the_picture_is_gray(center, side):
     affine = crop_matrix(np.array(center), side, 64)
-    picture = np.full((480, 640, 3), 255, np.uint8)
-    assert (warp_crop(picture, affine, 64) == 127).all()
-    assert (warp_crop(picture[..., 0], affine, 64) == 0).all()
+    image = np.full((480, 640, 3), 255, np.uint8)
+    assert (warp_crop(image, affine, 64) == 127).all()
+    assert (warp_crop(image[..., 0], affine, 64) == 0).all()
 
 
 def test_a_pack_holds_every_target_centered(pack: CropPack, boxes, dataset):

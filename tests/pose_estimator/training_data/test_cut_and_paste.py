@@ -36,9 +36,9 @@ def discs(objects: list[int], frames: list[int]) -> CropPack:
     data, spans = b"", []
     for number in objects:
         mask = disc(STORED_SIDE)
-        picture = np.where(mask[..., None] > 0, COLORS[number], GROUND[number])
+        image = np.where(mask[..., None] > 0, COLORS[number], GROUND[number])
         parts = [
-            cv2.imencode(".png", picture[..., ::-1])[1].tobytes(),
+            cv2.imencode(".png", image[..., ::-1])[1].tobytes(),
             cv2.imencode(".png", mask)[1].tobytes(),
         ]
         ends = len(data) + np.cumsum([0, *map(len, parts), 0])
@@ -65,7 +65,7 @@ def discs(objects: list[int], frames: list[int]) -> CropPack:
 @pytest.fixture
 def few_collages(monkeypatch) -> None:
     """A training draws as many as it keeps crops, in seconds."""
-    monkeypatch.setattr(cut_and_paste, "BANK", 8)
+    monkeypatch.setattr(cut_and_paste, "BANK_SIZE", 8)
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Training samples: labels, pictures and cameras agree after every augmentation."""
+"""Training samples: labels, images and cameras agree after every augmentation."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from two_view_pose.pose_estimator.training.loader import collate
 from two_view_pose.pose_estimator.training_data.augmentation import AugmentationConfig
 from two_view_pose.pose_estimator.training_data.crops import CropPack
 from two_view_pose.pose_estimator.training_data.dataset import TrainingSet, sampling_weights
-from two_view_pose.pose_estimator.training_data.target_sample import TargetSample, arrays_of
+from two_view_pose.pose_estimator.training_data.target_sample import TargetSample, target_arrays
 
 CONFIG = FeatureConfig()
 PLAIN = AugmentationConfig(noise=0, blur=0, brightness=0, contrast=0, white_balance=0)
@@ -54,7 +54,7 @@ def test_the_pose_falls_on_the_mask_and_on_the_picture(pack, boxes, augmented):
 def test_directions_vote_for_the_keypoints_of_the_pose(training, boxes):
     rng = np.random.default_rng(1)
     samples = [training.draw_target(rng) for _ in range(6)]
-    tensors = collate([arrays_of(sample) for sample in samples])
+    tensors = collate([target_arrays(sample) for sample in samples])
     mean, _, score = vote(
         Features2D(10 * (2 * tensors["mask"] - 1), tensors["directions"], *torch.zeros(2))
     )
@@ -125,16 +125,16 @@ def test_frames_of_the_detector_have_their_targets_on_the_objects(training, boxe
     config = DetectorConfig()
     rng = np.random.default_rng(0)
     for _ in range(5):
-        picture, heat, regression, _weight = training.draw_frame(rng, config)
-        assert picture.shape == (240, 320, 3)
+        image, heat, regression, _weight = training.draw_frame(rng, config)
+        assert image.shape == (240, 320, 3)
         for index in range(2):
             roi = decode(heat[index] * 20 - 10, regression[index], np.eye(3), config)
             u, v = roi.center.round().astype(int)
             if roi.score < 0.9 or not (2 < u < 317 and 2 < v < 237):
                 continue
-            red, _, blue = cv2.blur(picture, (3, 3))[v, u].astype(int)
+            red, _, blue = cv2.blur(image, (3, 3))[v, u].astype(int)
             assert (red > blue + 40) if index == 0 else (blue > red + 40)
-            colors = picture.astype(int)
+            colors = image.astype(int)
             ours = colors[..., 2 * index] > 60 + colors[..., 2 - 2 * index]
             # The border mirrors what it cuts: look at the region alone.
             reach = int(roi.side / 2)

@@ -1,4 +1,4 @@
-"""Spoilt depth: by how much, and that nothing comes from nothing."""
+"""Depth noise: its strength, and that unknown depth stays unknown."""
 
 import numpy as np
 import pytest
