@@ -38,7 +38,7 @@ def write_coco(folder: Path, obj_ids: Iterable[int]) -> None:
     """
     poses = read_json(folder / "scene_gt.json", dict)
     infos = read_json(folder / "scene_gt_info.json", dict)
-    pictures = {int(path.stem): path for path in (folder / "rgb").iterdir()}
+    paths = {int(path.stem): path for path in (folder / "rgb").iterdir()}
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for key in sorted(poses, key=int):
@@ -54,8 +54,8 @@ def write_coco(folder: Path, obj_ids: Iterable[int]) -> None:
                 numbers = {"id": len(annotations) + 1, "image_id": image_id}
                 annotations.append(numbers | {"category_id": int(pose["obj_id"])} | entry)
         if shape is None:
-            shape = _mask(pictures[image_id]).shape
-        images.append(_image(image_id, f"rgb/{pictures[image_id].name}", shape))
+            shape = _mask(paths[image_id]).shape
+        images.append(_image(image_id, f"rgb/{paths[image_id].name}", shape))
     categories = [
         {"id": obj_id, "name": str(obj_id), "supercategory": "object"} for obj_id in sorted(obj_ids)
     ]

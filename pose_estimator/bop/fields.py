@@ -98,7 +98,7 @@ def read_json(path: Path, kind: type | tuple[type, ...], report: Report = refuse
         report(
             path, "keys", "a key is there twice", detail=f"key {key!r}",
             cause="scenes were joined without new numbers; readers see the last one alone",
-            remedy="give each picture and object a number of its own",
+            remedy="give each image and object a number of its own",
         )  # fmt: skip
     if not isinstance(content, kind):
         kinds = kind if isinstance(kind, tuple) else (kind,)

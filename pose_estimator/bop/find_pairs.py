@@ -59,7 +59,7 @@ def find_pairs(dataset: BopDataset, pairs: Path | None = None) -> tuple[BopPair,
     if not found:
         low, high = BASELINES
         raise InputError(
-            f"{dataset.root / dataset.split} has no {PAIRS_FILE}, and no two pictures of a scene "
+            f"{dataset.root / dataset.split} has no {PAIRS_FILE}, and no two images of a scene "
             f"show an object that stood still from {low:g} to {high:g} degrees apart"
         )
     return tuple(found)

@@ -40,10 +40,10 @@ def write_models(root: str | Path, objects: Iterable[ObjectModel]) -> None:
     infos = _infos(objects)
     for model in objects:
         stem = folder / f"obj_{model.obj_id:06d}"
-        done, picture = cv2.imencode(".png", np.ascontiguousarray(model.texture[..., ::-1]))
+        done, image = cv2.imencode(".png", np.ascontiguousarray(model.texture[..., ::-1]))
         if not done:
             raise InputError(f"the texture of {model.name!r} cannot be encoded")
-        write_atomically(stem.with_suffix(".png"), picture.tobytes())
+        write_atomically(stem.with_suffix(".png"), image.tobytes())
         write_atomically(stem.with_suffix(".ply"), _textured_ply(model, f"{stem.name}.png"))
     write_json(folder / "models_info.json", infos)
 

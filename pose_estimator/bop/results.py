@@ -33,11 +33,11 @@ class BopResult:
 
     Attributes:
         scene_id: number of the scene folder.
-        image_id: number of the picture in its scene.
+        image_id: number of the image in its scene.
         obj_id: number of the object.
         score: how sure the method is; only the order within a file means something.
         T_cam_obj: the object in the camera, (4, 4), meters.
-        seconds: that the method took for all objects of the picture, `UNKNOWN_TIME` where nobody
+        seconds: that the method took for all objects of the image, `UNKNOWN_TIME` where nobody
             measured it.
     """
 
@@ -50,7 +50,7 @@ class BopResult:
 
     @property
     def target(self) -> tuple[int, int, int]:
-        """Scene, picture and object."""
+        """Scene, image and object."""
         return self.scene_id, self.image_id, self.obj_id
 
 
@@ -139,9 +139,9 @@ def read_bop_results(
 def surest_of_each_target(
     estimates: Iterable[tuple[BopResult, float]],
 ) -> list[BopResult]:
-    """One estimate for each scene, picture and object, of many from different second views.
+    """One estimate for each scene, image and object, of many from different second views.
 
-    BOP asks once for an object in a picture. Of several answers the surest is given, as a robot
+    BOP asks once for an object in an image. Of several answers the surest is given, as a robot
     that has looked from several places would; truth has no say in it. The score cannot choose: it
     is the detector's in the reference view, which all of them share.
 
@@ -151,7 +151,7 @@ def surest_of_each_target(
 
     Returns:
         In the order in which the targets come first; the first of equally sure ones. ``seconds``
-        are summed over the objects of a picture, which is what BOP's column ``time`` means.
+        are summed over the objects of an image, which is what BOP's column ``time`` means.
     """
     best: dict[tuple[int, int, int], tuple[BopResult, float]] = {}
     for result, uncertainty in estimates:
@@ -160,8 +160,8 @@ def surest_of_each_target(
             best[result.target] = result, uncertainty
     seconds: dict[tuple[int, int], float] = {}
     for result, _ in best.values():
-        picture = result.target[:2]
-        seconds[picture] = seconds.get(picture, 0.0) + result.seconds
+        image = result.target[:2]
+        seconds[image] = seconds.get(image, 0.0) + result.seconds
     return [replace(result, seconds=seconds[result.target[:2]]) for result, _ in best.values()]
 
 

@@ -135,7 +135,7 @@ def read_scene(folder: Path, scene_id: int, report: Report = refuse) -> Scene | 
     images = _numbered(rgb)
     for image_id in sorted(keys.keys() - images.keys()):
         report(
-            path, "image", "a picture is missing",
+            path, "image", "an image is missing",
             place=Place(scene_id, image_id), remedy=RESTORE,
             detail=f"{rgb.name}/{image_id:06d}.png (or .jpg) is not there",
         )  # fmt: skip
@@ -169,9 +169,9 @@ def _read_annotations(
             continue
         if image_id not in cameras:
             report(
-                path, "image", "an annotated picture has no camera", place=place,
+                path, "image", "an annotated image has no camera", place=place,
                 detail="scene_camera.json does not list it",
-                cause="the JSON files are of different versions, or picture numbers were changed",
+                cause="the JSON files are of different versions, or image numbers were changed",
                 remedy="add it to scene_camera.json",
             )  # fmt: skip
         described = [None] * len(entries) if infos is None else infos.get(keys[image_id])
@@ -223,7 +223,7 @@ def _check_masks(folder: Path, path: Path, places: list[Place], report: Report) 
         if name not in names:
             report(
                 path, "mask_visib", "a mask is missing", place=place,
-                remedy="restore the file (masks are numbered by picture and annotation), or take "
+                remedy="restore the file (masks are numbered by image and annotation), or take "
                 "the annotation out of the JSON files",
                 detail=f"mask_visib/{name} is not there",
             )  # fmt: skip
@@ -235,14 +235,14 @@ def _whole(content: Mapping[str, Any], path: Path, scene_id: int, report: Report
     for key in content:
         if not key.isdigit():
             report(
-                path, "keys", "a key must be a picture's number", place=Place(scene_id),
+                path, "keys", "a key must be an image's number", place=Place(scene_id),
                 detail=f"key {key[:40]!r}", remedy="rename or remove the entry",
             )  # fmt: skip
         elif int(key) in numbers:
             report(
-                path, "keys", "a picture is there twice", place=Place(scene_id, int(key)),
+                path, "keys", "an image is there twice", place=Place(scene_id, int(key)),
                 detail=f"keys {numbers[int(key)]!r} and {key!r}",
-                remedy="give each picture a number of its own",
+                remedy="give each image a number of its own",
             )  # fmt: skip
         else:
             numbers[int(key)] = key

@@ -19,7 +19,7 @@ LEAST_VISIBLE = 0.1
 
 
 class BopTarget(NamedTuple):
-    """So many instances of an object are to be found in a picture."""
+    """So many instances of an object are to be found in an image."""
 
     scene_id: int
     image_id: int
@@ -35,7 +35,7 @@ def is_test(split: str) -> bool:
 def write_targets(dataset: BopDataset, scene_ids: Iterable[int] | None = None) -> None:
     """Writes the list of targets into the dataset's folder.
 
-    Each entry says how often an object is to be found in a picture: ``scene_id``, ``im_id``,
+    Each entry says how often an object is to be found in an image: ``scene_id``, ``im_id``,
     ``obj_id``, ``inst_count``. Only objects of which at least a tenth is visible count.
 
     Args:

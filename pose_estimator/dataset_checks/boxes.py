@@ -20,7 +20,7 @@ CORNERS = "it holds corners (left, top, right, bottom); BOP has left, top, width
 
 
 def check_info(scene: Scene, size: tuple[int, int] | None, findings: Findings) -> None:
-    """Checks the numbers of all annotations against each other and the picture's size (H, W)."""
+    """Checks the numbers of all annotations against each other and the image's size (H, W)."""
     rows = scene.annotations
     if not rows.described:
         return
@@ -62,7 +62,7 @@ def check_info(scene: Scene, size: tuple[int, int] | None, findings: Findings) -
 
 
 def _check_box(scene: Scene, size: tuple[int, int], complain: Callable[..., None]) -> None:
-    """Visible boxes must lie in the picture."""
+    """Visible boxes must lie in the image."""
     height, width = size
     box = scene.annotations.bbox_visib
     left, top, right, bottom = box[:, 0], box[:, 1], box[:, 0] + box[:, 2], box[:, 1] + box[:, 3]
@@ -71,14 +71,14 @@ def _check_box(scene: Scene, size: tuple[int, int], complain: Callable[..., None
     outside &= ~nothing
     corners = (left >= -1) & (top >= -1) & (box[:, 2] > left) & (box[:, 3] > top)
     corners &= (box[:, 2] <= width + 1) & (box[:, 3] <= height + 1)
-    problem = "leaves the picture"
+    problem = "leaves the image"
     complain(
         outside & corners, "error", "bbox_visib", problem, cause=CORNERS,
         remedy="write right - left and bottom - top in the place of right and bottom",
     )  # fmt: skip
     complain(
         outside & ~corners, "error", "bbox_visib", problem, remedy=ANEW,
-        cause="it was made for pictures of another size",
+        cause="it was made for images of another size",
     )  # fmt: skip
 
 
@@ -91,26 +91,26 @@ def check_mask(
     place: Place,
     findings: Findings,
 ) -> bool:
-    """Compares a mask of visible pixels with the picture and with what the file says of it.
+    """Compares a mask of visible pixels with the image and with what the file says of it.
 
     Args:
         path: the mask's file.
         mask: bool (H, W).
-        shape: height and width of the picture.
+        shape: height and width of the image.
         info_path: ``scene_gt_info.json``.
         info: bbox_visib (4,), px_count_visib and visib_fract, NaN where unknown.
         place: of the annotation.
         findings: are added to.
 
     Returns:
-        Whether the mask has the picture's size and is not empty.
+        Whether the mask has the image's size and is not empty.
     """
     box, count, visibility = info
     if mask.shape != shape:
         findings.error(
-            path, "size", "a mask has another size than its picture", place=place,
-            detail=f"{mask.shape[1]}x{mask.shape[0]} for a picture of {shape[1]}x{shape[0]}",
-            cause="pictures or masks were scaled or cropped alone",
+            path, "size", "a mask has another size than its image", place=place,
+            detail=f"{mask.shape[1]}x{mask.shape[0]} for an image of {shape[1]}x{shape[0]}",
+            cause="images or masks were scaled or cropped alone",
             remedy="scale both alike, and cam_K with them",
         )  # fmt: skip
         return False

@@ -1,4 +1,4 @@
-"""Are the cameras those of the pictures: camera matrices, picture sizes, ``camera.json``."""
+"""Are the cameras those of the images: camera matrices, image sizes, ``camera.json``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..bop.scene import Scene
 from .findings import Finding, Findings, Severity
 
 MIDDLE = (0.25, 0.75)
-"""Where, in shares of the picture's sides, a principal point is not worth a question."""
+"""Where, in shares of the image's sides, a principal point is not worth a question."""
 
 
 WRITE_K = "write fx, 0, cx, 0, fy, cy, 0, 0, 1"
@@ -23,7 +23,7 @@ def check_cameras(scene: Scene, size: tuple[int, int] | None, findings: Findings
 
     Args:
         scene: whose cameras.
-        size: height and width of its pictures; None where none could be read.
+        size: height and width of its images; None where none could be read.
         findings: are added to.
     """
     for image_id, K in zip(scene.image_id.tolist(), scene.K, strict=True):
@@ -71,20 +71,20 @@ def _complaint(
     if size is None:
         return None
     height, width = size
-    pixels = f"{written} for pictures of {width}x{height}"
+    pixels = f"{written} for images of {width}x{height}"
     share = np.array([cx / width, cy / height])
     if not (share >= 0).all() or not (share <= 1 - 1e-9).all():
-        problem = "the principal point is outside of the picture"
+        problem = "the principal point is outside of the image"
         return "error", problem, *_explain(K, size), pixels
     if max(fx, fy) < 0.1 * width:
         remedy = "give focal lengths in pixels"
-        cause = "they are in millimeters or in shares of the picture's width"
+        cause = "they are in millimeters or in shares of the image's width"
         return "error", "the focal lengths are too short", cause, remedy, pixels
     if not 0.8 < fx / fy < 1.25:
-        cause = "the picture was stretched, or the numbers stand in another order"
+        cause = "the image was stretched, or the numbers stand in another order"
         return "warning", "fx and fy are far from each other", cause, WRITE_K, pixels
     if not (MIDDLE[0] <= share).all() or not (share <= MIDDLE[1]).all():
-        problem = "the principal point is far from the middle of the picture"
+        problem = "the principal point is far from the middle of the image"
         return "warning", problem, *_explain(K, size), pixels
     return None
 
@@ -100,12 +100,12 @@ def _explain(K: np.ndarray, size: tuple[int, int]) -> tuple[str, str]:
     scale = 2 * share.mean()
     if (share > 0).all() and abs(share[0] / share[1] - 1) < 0.3 and not 0.7 < scale < 1.4:
         return (
-            f"it is the matrix of pictures {scale:.2g} times as large",
-            f"divide fx, fy, cx and cy by {scale:.2g}, or keep the pictures at the size of the "
+            f"it is the matrix of images {scale:.2g} times as large",
+            f"divide fx, fy, cx and cy by {scale:.2g}, or keep the images at the size of the "
             "calibration",
         )
     return (
-        "another camera's matrix, numbers in another order, or pictures that were cropped",
+        "another camera's matrix, numbers in another order, or images that were cropped",
         "calibrate anew; after a crop subtract its corner from cx and cy",
     )
 
@@ -124,17 +124,17 @@ def read_camera_size(root: Path, findings: Findings) -> tuple[int, int] | None:
 
 
 def check_size(
-    picture: Path,
+    image_path: Path,
     size: tuple[int, int],
     expected: tuple[int, int] | None,
     place: Place,
     findings: Findings,
 ) -> None:
-    """Compares one picture's size (H, W) with ``camera.json``."""
+    """Compares one image's size (H, W) with ``camera.json``."""
     if expected is not None and size != expected:
         findings.warning(
-            picture, "size", "pictures differ from camera.json", place=place,
+            image_path, "size", "images differ from camera.json", place=place,
             detail=f"{size[1]}x{size[0]}, camera.json says {expected[1]}x{expected[0]}",
-            cause="the pictures were scaled or cropped, and the camera was not",
-            remedy="scale cam_K as the pictures were scaled, and correct camera.json",
+            cause="the images were scaled or cropped, and the camera was not",
+            remedy="scale cam_K as the images were scaled, and correct camera.json",
         )  # fmt: skip

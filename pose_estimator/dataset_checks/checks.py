@@ -18,7 +18,7 @@ from .cameras import check_cameras, read_camera_size
 from .config import CheckDataConfig
 from .files import check_files
 from .findings import Findings
-from .images import PictureCheck
+from .images import ImageCheck
 from .meshes import read_models
 from .models import check_models
 from .pairs import check_pairs, check_world
@@ -33,7 +33,7 @@ def find_mistakes(config: CheckDataConfig, root: Path) -> tuple[Findings, list[P
     findings = Findings()
     models = read_models(root, findings)
     check_models(models.values(), findings)
-    check = PictureCheck(models, read_camera_size(root, findings), findings)
+    check = ImageCheck(models, read_camera_size(root, findings), findings)
     pairs = _read_pairs(root / PAIRS_FILE, findings)
     folders = _scene_folders(config, root, findings)
     read = _check_scenes(config, folders, check, root / PAIRS_FILE, pairs)
@@ -42,7 +42,7 @@ def find_mistakes(config: CheckDataConfig, root: Path) -> tuple[Findings, list[P
     check.depth.report(findings)
     summary = (
         f"{counted(len(models), 'object')}, {counted(read, 'scene')}; looked at "
-        f"{counted(check.looked, 'picture')}, compared {counted(check.projected, 'projection')}"
+        f"{counted(check.looked, 'image')}, compared {counted(check.projected, 'projection')}"
     )
     if check.set_aside:
         summary += (
@@ -98,7 +98,7 @@ def _scene_folders(
 
 
 def _check_scenes(
-    config: CheckDataConfig, folders: dict[str, list[Path]], check: PictureCheck,
+    config: CheckDataConfig, folders: dict[str, list[Path]], check: ImageCheck,
     pairs_path: Path, pairs: Mapping[int, BopPair],
 ) -> int:  # fmt: skip
     """Reads scene after scene; returns how many could be read."""
@@ -110,7 +110,7 @@ def _check_scenes(
         work += [(folder, share if folder in looked else -1) for folder in scenes]
     read = 0
     paired = _split_of_pairs(pairs_path, pairs, check.findings)
-    with tqdm(total=sum(_expected(*job) for job in work), desc="checking", unit="picture") as bar:
+    with tqdm(total=sum(_expected(*job) for job in work), desc="checking", unit="image") as bar:
         for number, (folder, share) in enumerate(work, start=1):
             bar.set_postfix_str(f"scene {number} of {len(work)}")
             scene = read_scene(folder, int(folder.name), check.findings.error)
@@ -155,7 +155,7 @@ def _expected(folder: Path, share: int) -> int:
     return min(count, share) if share else count
 
 
-def _check_scene(scene: Scene, share: int, check: PictureCheck, bar: tqdm) -> np.ndarray | None:
+def _check_scene(scene: Scene, share: int, check: ImageCheck, bar: tqdm) -> np.ndarray | None:
     """Checks files, numbers and a sample of images.
 
     Returns:

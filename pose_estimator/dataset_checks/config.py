@@ -31,12 +31,12 @@ class CheckDataConfig:
     about a tenth of a second, and longer where projections are wrong."""
     out: Path | None = None
     """Folder for overlay images of wrong projections."""
-    pictures: int = 8
+    overlays: int = 8
     """Most overlay images to draw."""
     json: Path | None = None
     """Write the findings as a results file."""
 
     def __post_init__(self) -> None:
-        for name in ("scenes", "images", "pictures"):
+        for name in ("scenes", "images", "overlays"):
             if getattr(self, name) < 0:
                 raise InputError(f"{name} must be at least 0, got {getattr(self, name)}")

@@ -78,7 +78,7 @@ class DepthCheck:
                 continue
             add(
                 depth_path, "pixels", problem, place=place, detail=detail,
-                cause="the map is another picture's, is not aligned with the color camera, or "
+                cause="the map is another image's, is not aligned with the color camera, or "
                 "something hides the object that its mask does not know",
                 remedy="register depth to color, and check that files belong together",
             )  # fmt: skip

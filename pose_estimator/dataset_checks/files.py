@@ -14,7 +14,7 @@ def check_files(scene: Scene, findings: Findings) -> None:
     images = set(scene.image_id.tolist())
     for image_id in sorted(scene.images.keys() - images):
         findings.warning(
-            scene.images[image_id], "file", "a picture has no camera",
+            scene.images[image_id], "file", "an image has no camera",
             place=Place(scene.scene_id, image_id), remedy="add it to scene_camera.json",
             detail="scene_camera.json does not list it, so nothing reads it",
         )  # fmt: skip
@@ -34,8 +34,8 @@ def check_files(scene: Scene, findings: Findings) -> None:
         number = int(Path(name).stem)
         if number in seen:
             findings.error(
-                folder / name, "file", "two pictures have one number",
+                folder / name, "file", "two images have one number",
                 place=Place(scene.scene_id, number), detail=f"{seen[number]} and {name}",
-                cause="pictures were converted and the old ones left", remedy="remove one of them",
+                cause="images were converted and the old ones left", remedy="remove one of them",
             )  # fmt: skip
         seen[number] = name

@@ -14,7 +14,7 @@ Severity = Literal["error", "warning"]
 KEPT = 100
 """So many findings of a group are kept in full; the others are counted."""
 
-_PICTURES = (".png", ".jpg", ".jpeg", ".tif")
+_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif")
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Finding:
         problem: what it is, in words that are the same wherever it occurs.
         cause: what is probably behind it.
         remedy: what to do.
-        place: scene, picture and annotation.
+        place: scene, image and annotation.
         detail: what it is here, with its numbers.
     """
 
@@ -44,8 +44,8 @@ class Finding:
 
     @property
     def kind(self) -> str:
-        """The file's name; for pictures and meshes the pattern that theirs follow."""
-        if self.file.suffix.lower() in _PICTURES:
+        """The file's name; for images and meshes the pattern that theirs follow."""
+        if self.file.suffix.lower() in _IMAGE_SUFFIXES:
             return f"{self.file.parent.name}/*{self.file.suffix}"
         if self.file.suffix == ".ply":
             return f"{self.file.parent.name}/*.ply"

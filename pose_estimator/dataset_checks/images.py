@@ -1,4 +1,4 @@
-"""Looks at a sample of a scene's pictures: what the files hold, and whether poses agree with it."""
+"""Looks at a sample of a scene's images: what the files hold, and whether poses agree with it."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from .projection_score import Evidence
 
 
 @dataclass
-class PictureCheck:
-    """Looks at pictures, one after the other, and keeps what is to be explained in the end.
+class ImageCheck:
+    """Looks at images, one after the other, and keeps what is to be explained in the end.
 
     Attributes:
         models: by number.
@@ -32,7 +32,7 @@ class PictureCheck:
         findings: are added to.
         depth: what the depth maps said.
         suspects: projections that are not good.
-        looked: how many pictures were looked at.
+        looked: how many images were looked at.
         projected: how many projections were compared.
         set_aside: how many scenes have so many wrong projections that nothing is compared with
             their poses.
@@ -48,7 +48,7 @@ class PictureCheck:
     set_aside: int = 0
 
     def look(self, scene: Scene, image_id: int, whole: np.ndarray) -> tuple[int, int]:
-        """Looks at one picture.
+        """Looks at one image.
 
         Args:
             scene: its scene.
@@ -58,13 +58,13 @@ class PictureCheck:
         Returns:
             How many projections were wrong, and how many were compared.
         """
-        picture, place = scene.images[image_id], Place(scene.scene_id, image_id)
-        rgb = self._open(picture, "RGB", place)
+        image_path, place = scene.images[image_id], Place(scene.scene_id, image_id)
+        rgb = self._open(image_path, "RGB", place)
         if rgb is None:
             return 0, 0
         self.looked += 1
         shape = (rgb.shape[0], rgb.shape[1])
-        check_size(picture, shape, self.camera_size, place, self.findings)
+        check_size(image_path, shape, self.camera_size, place, self.findings)
         depth = self._depth(scene, image_id, shape, place)
         K = scene.K[scene.image_id == image_id][0]
         try:
@@ -73,7 +73,7 @@ class PictureCheck:
             return 0, 0
         wrong = compared = 0
         for row in np.flatnonzero(scene.annotations.image_id == image_id).tolist():
-            score = self._annotation(scene, row, picture, shape, K, depth, bool(whole[row]))
+            score = self._annotation(scene, row, image_path, shape, K, depth, bool(whole[row]))
             wrong += score is not None and score < FAIR
             compared += score is not None
         self.projected += compared
@@ -83,7 +83,7 @@ class PictureCheck:
         self,
         scene: Scene,
         row: int,
-        picture: Path,
+        image_path: Path,
         shape: tuple[int, int],
         K: np.ndarray,
         depth: np.ndarray | None,
@@ -112,7 +112,7 @@ class PictureCheck:
             gt_path=scene.gt_path,
             camera_path=scene.camera_path,
             mask_path=path if mask is not None else None,
-            picture=picture,
+            image_path=image_path,
             model=model,
             T_cam_obj=T,
             K=K,
@@ -140,13 +140,13 @@ class PictureCheck:
             self.findings.error(
                 path, "pixels", "a depth map is no map of 16 bits", place=place,
                 detail=f"{steps.dtype} of shape {steps.shape}",
-                cause="it was saved as a picture for people to look at",
+                cause="it was saved as an image for people to look at",
                 remedy="write depth as one channel of 16 bits",
             )  # fmt: skip
             return None
         if steps.shape != shape:
             self.findings.error(
-                path, "size", "a depth map has another size than its picture", place=place,
+                path, "size", "a depth map has another size than its image", place=place,
                 detail=f"{steps.shape[1]}x{steps.shape[0]} for {shape[1]}x{shape[0]}",
                 cause="it is not registered to the color camera",
                 remedy="register depth to color",
@@ -168,7 +168,7 @@ class PictureCheck:
             return read_image(path, mode)
         except (OSError, ValueError):
             self.findings.error(
-                path, "pixels", "cannot be read as a picture", place=place,
+                path, "pixels", "cannot be read as an image", place=place,
                 detail=f"{path.stat().st_size} bytes" if path.exists() else "",
                 cause="truncated by a full disk or a broken download",
                 remedy="fetch or write it again",

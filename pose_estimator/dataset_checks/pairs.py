@@ -86,12 +86,12 @@ def check_pairs(
     for number, pair in pairs.items():
         first, second = pair.ref_image_id, pair.second_image_id
         place = Place(scene.scene_id, first)
-        where = f"pair {number}, pictures {first} and {second}"
+        where = f"pair {number}, images {first} and {second}"
         if lost := [i for i in (first, second) if i not in images]:
             findings.error(
-                path, "image", "a pair names a picture that is not there", place=place,
-                detail=f"{where}: scene {pair.scene_id} has no picture {lost[0]}",
-                remedy="remove the pair, or restore the picture",
+                path, "image", "a pair names an image that is not there", place=place,
+                detail=f"{where}: scene {pair.scene_id} has no image {lost[0]}",
+                remedy="remove the pair, or restore the image",
             )  # fmt: skip
             continue
         T = pair.T_second_ref
@@ -173,7 +173,7 @@ def check_world(scene: Scene, believed: np.ndarray, findings: Findings) -> None:
         findings.error(
             scene.camera_path, "cam_R_w2c, cam_t_w2c", "objects do not stand still in the world",
             place=Place(scene.scene_id, image_id), cause=cause, remedy=remedy,
-            detail="world to camera, then camera to object, must be one place in all pictures",
+            detail="world to camera, then camera to object, must be one place in all images",
         )  # fmt: skip
 
 
@@ -182,7 +182,7 @@ def _moving(
     world: Mapping[int, np.ndarray],
     read: Callable[[np.ndarray], np.ndarray],
 ) -> float:
-    """Share of the poses that are not where their object is in most pictures."""
+    """Share of the poses that are not where their object is in most images."""
     off = []
     for track in tracks:
         places = np.stack([(invert(read(world[i])) @ T)[:3, 3] for i, T in track])
@@ -192,7 +192,7 @@ def _moving(
 
 
 def _poses(scene: Scene, believed: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
-    """(image id, obj_id) -> pose, of objects that are in a picture once."""
+    """(image id, obj_id) -> pose, of objects that are in an image once."""
     rows = scene.annotations
     found: dict[tuple[int, int], np.ndarray] = {}
     twice = set()

@@ -14,10 +14,10 @@ OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """OpenGL's camera (y up, z backward) to OpenCV's (y down, z forward)."""
 
 RESOLUTIONS = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 0.8, 1.25, 4 / 3, 1.5, 2.0, 3.0, 4.0)
-"""Ratios between the picture sizes that one camera is used at."""
+"""Ratios between the image sizes that one camera is used at."""
 
 ORIGINS = (0.35, 0.65)
-"""Where, in shares of the picture's sides, a corrected principal point must lie."""
+"""Where, in shares of the image's sides, a corrected principal point must lie."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ def corrections(T: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> Iterator
     Args:
         T: object to camera as written, (4, 4), meters.
         K: camera matrix as written, (3, 3).
-        size: height and width of the picture.
+        size: height and width of the image.
     """
     for unit, cause, remedy, factor in _UNITS:
         scaled = T.copy()
@@ -140,7 +140,7 @@ def _cameras(K: np.ndarray, size: tuple[int, int]) -> Iterator[tuple[str, str, s
         found.append(
             (
                 f"K times {factor:.3g}",
-                f"the camera matrix is that of pictures {1 / factor:.3g} times as large",
+                f"the camera matrix is that of images {1 / factor:.3g} times as large",
                 f"multiply fx, fy, cx and cy by {factor:.3g}",
                 (factor * fx, factor * fy, factor * cx, factor * cy),
             )

@@ -21,7 +21,7 @@ SAME_PLACE = 1e-3
 def check_poses(
     scene: Scene, models: Mapping[int, CheckedModel], findings: Findings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Checks the annotations' numbers, without looking at pictures.
+    """Checks the annotations' numbers, without looking at images.
 
     Returns:
         Which rows of ``scene.annotations`` are whole, and which of them can be believed: bool (N,)

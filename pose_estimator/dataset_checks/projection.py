@@ -46,7 +46,7 @@ class Projection:
         gt_path: its scene_gt.json.
         camera_path: its scene_camera.json.
         mask_path: its mask, or None.
-        picture: the picture's file.
+        image_path: the image's file.
         model: the object.
         T_cam_obj: as written, (4, 4), orthonormal.
         K: as written, (3, 3).
@@ -60,7 +60,7 @@ class Projection:
     gt_path: Path
     camera_path: Path
     mask_path: Path | None
-    picture: Path
+    image_path: Path
     model: CheckedModel
     T_cam_obj: np.ndarray
     K: np.ndarray
@@ -98,7 +98,7 @@ class Projection:
             Correction(
                 SHIFTED, named, "the shape is right and its place is not: masks were shifted or "
                 "cropped, or cx and cy are of another crop",
-                "draw masks from the same pictures, or correct cx and cy", self.T_cam_obj, K,
+                "draw masks from the same images, or correct cx and cy", self.T_cam_obj, K,
             )
         ]  # fmt: skip
 

@@ -50,21 +50,21 @@ POSES = {
         "scene_gt_info.json", "file", "not valid JSON",
     ),
     "a key twice": Damage(duplicate_key, "scene_gt.json", "keys", "twice", count=1),
-    "picture missing": Damage(
+    "image missing": Damage(
         lambda d: (d / SCENE / "rgb/000002.png").unlink(),
-        "scene_camera.json", "image", "a picture is missing", count=1,
+        "scene_camera.json", "image", "an image is missing", count=1,
     ),
-    "picture cut off": Damage(
+    "image cut off": Damage(
         lambda d: truncate(d / SCENE / "rgb/000002.png"),
         "rgb/000002.png", "pixels", "cannot be read",
     ),
-    "picture empty": Damage(
+    "image empty": Damage(
         lambda d: (d / SCENE / "rgb/000000.png").write_bytes(b""),
         "rgb/000000.png", "pixels", "cannot be read",
     ),
-    "two pictures with one number": Damage(
+    "two images with one number": Damage(
         lambda d: shutil.copyfile(d / SCENE / "rgb/000000.png", d / SCENE / "rgb/000000.jpg"),
-        "rgb/000000.png", "file", "two pictures have one number",
+        "rgb/000000.png", "file", "two images have one number",
     ),
     "mask missing": Damage(
         lambda d: (d / SCENE / "mask_visib/000001_000002.png").unlink(),
@@ -78,7 +78,7 @@ POSES = {
         lambda d: (d / SCENE / "depth/000001.png").unlink(),
         "scene_camera.json", "depth", "a depth map is missing", "warning",
     ),
-    "annotated picture without a camera": Damage(
+    "annotated image without a camera": Damage(
         lambda d: set_key(f"{SCENE}/scene_gt.json", "9", value=[])(d)
         or set_key(f"{SCENE}/scene_gt.json", "9", value=json.loads(
             (d / SCENE / "scene_gt.json").read_text())["0"])(d),
@@ -155,7 +155,7 @@ POSES = {
     "xyzw read as wxyz": Damage(
         quaternion([1, 2, 3, 0]), "scene_gt.json", "cam_R_m2c", "x, y, z, w that was read as w, x"
     ),
-    "one pose of another picture": Damage(
+    "one pose of another image": Damage(
         lambda d: set_key(f"{SCENE}/scene_gt.json", "1", 1, "cam_t_m2c", value=[120, 90, 700.0])(d),
         "scene_gt.json", "cam_R_m2c, cam_t_m2c", "does not project onto its mask", count=1,
     ),

@@ -50,7 +50,7 @@ def test_run_lengths_of_full_and_empty_masks() -> None:
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two pictures of three objects: one in view, one almost hidden, one hidden."""
+    """Two images of three objects: one in view, one almost hidden, one hidden."""
     rng = np.random.default_rng(0)
     frames = []
     for _ in range(2):
@@ -103,7 +103,7 @@ def test_annotations_say_what_the_masks_say(scene: Path) -> None:
         assert (a["height"], a["width"]) == whole.shape
 
 
-def test_pictures_are_named_from_the_scene_s_folder(scene: Path) -> None:
+def test_images_are_named_from_the_scene_s_folder(scene: Path) -> None:
     images = json.loads((scene / "scene_gt_coco.json").read_text())["images"]
     assert [(i["id"], i["width"], i["height"]) for i in images] == [(0, 64, 48), (1, 64, 48)]
     assert all((scene / i["file_name"]).is_file() for i in images)

@@ -48,7 +48,7 @@ def random_frame(rng: np.random.Generator, objects: int = 2) -> bop_writer.BopFr
 
 @pytest.fixture
 def dataset(tmp_path):
-    """A dataset of two scenes with two pictures each, and the frames it was written from."""
+    """A dataset of two scenes with two images each, and the frames it was written from."""
     rng = np.random.default_rng(1)
     frames = {scene_id: [random_frame(rng), random_frame(rng)] for scene_id in (3, 12)}
     for scene_id, content in frames.items():
@@ -180,7 +180,7 @@ BROKEN = [
         lambda c: c["0"][0]["cam_R_m2c"].__setitem__(0, 3.0),
         "image 0, annotation 0: field 'cam_R_m2c' is not rigid",
     ),
-    ("scene_gt.json", lambda c: c.update({"7": []}), "image 7: an annotated picture has no camera"),
+    ("scene_gt.json", lambda c: c.update({"7": []}), "image 7: an annotated image has no camera"),
     ("scene_gt_info.json", lambda c: c.pop("1"), "image 1: .*no list for 2"),
     ("scene_gt_info.json", lambda c: c["0"].pop(), "image 0: .*1 entries for 2"),
     ("scene_gt_info.json", lambda c: c["0"][1].pop("visib_fract"), "'visib_fract' is missing"),
@@ -211,7 +211,7 @@ def test_broken_files_are_named(dataset):
     data = bop.read_dataset(root, "train_pbr")
     image = data.scene(3)[0]
     image.rgb_path.write_bytes(image.rgb_path.read_bytes()[:20])
-    with pytest.raises(ValueError, match=r"000000\.png is not a picture file"):
+    with pytest.raises(ValueError, match=r"000000\.png is not an? "):
         bop.read_rgb(image)
     image.annotations[1].mask_visib_path.unlink()
     with pytest.raises(ValueError, match=r"annotation 1: a mask is missing .*000000_000001\.png"):
@@ -284,7 +284,7 @@ def test_without_descriptions_and_masks_nothing_is_in_the_way(dataset):
         assert annotation.px_count_visib == annotation.px_count_all == -1
 
 
-def test_gray_pictures_and_pictures_without_annotations_are_read(dataset):
+def test_gray_images_and_images_without_annotations_are_read(dataset):
     root, _ = dataset
     folder = root / "train_pbr" / "000003"
     (folder / "rgb").rename(folder / "gray")

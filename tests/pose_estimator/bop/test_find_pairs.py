@@ -168,5 +168,5 @@ def test_the_file_comes_first(dataset: Path, tmp_path: Path):
 def test_nothing_to_pair_is_said(dataset: Path, tmp_path: Path):
     (tmp_path / "train_pbr").symlink_to(dataset / "train_pbr")
     opened = read_dataset(tmp_path, "train_pbr")
-    with pytest.raises(ValueError, match=r"no two_view_pairs\.json, and no two pictures"):
+    with pytest.raises(ValueError, match=r"no two_view_pairs\.json, and no two images"):
         find_pairs(BopDataset(opened.root, opened.split, ()))

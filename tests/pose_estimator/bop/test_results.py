@@ -111,9 +111,9 @@ def test_what_is_no_such_file_is_refused(tmp_path):
         read_bop_results(tmp_path / "nothing.csv")
     with pytest.raises(ValueError, match="cannot read"):
         read_bop_results(tmp_path)
-    (tmp_path / "picture.csv").write_bytes(b"\x89PNG\r\n\xff\xfe")
+    (tmp_path / "image.csv").write_bytes(b"\x89PNG\r\n\xff\xfe")
     with pytest.raises(ValueError, match="not a text file"):
-        read_bop_results(tmp_path / "picture.csv")
+        read_bop_results(tmp_path / "image.csv")
     with pytest.raises(ValueError, match="is empty"):
         read_bop_results(written(tmp_path / "empty.csv", ""))
 
@@ -129,7 +129,7 @@ def test_what_is_no_estimate_is_not_written(tmp_path):
     assert not (tmp_path / "a.csv").exists()
 
 
-def test_of_several_answers_the_surest_is_given_and_times_are_of_pictures():
+def test_of_several_answers_the_surest_is_given_and_times_are_of_images():
     template = replace(some_results(1)[0], scene_id=1, image_id=2, obj_id=5, seconds=0.25)
     answers = [
         (replace(template, score=0.1), 0.002),

@@ -14,7 +14,7 @@ from two_view_pose.pose_estimator.bop.writer import BopFrame, write_scene
 
 
 def frame(image_id: int, *seen: tuple[int, float]) -> BopFrame:
-    """A gray picture in which objects are visible by so much."""
+    """A gray image in which objects are visible by so much."""
     T = make_transform(np.eye(3), np.array([0.0, 0.0, 1.0]))
     return BopFrame(
         rgb=np.full((8, 8, 3), 128, dtype=np.uint8),

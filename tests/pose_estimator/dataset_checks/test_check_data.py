@@ -15,8 +15,8 @@ from helpers.damage_tools import (
     GL,
     SCENE,
     every_camera,
+    every_image,
     every_pair,
-    every_picture,
     every_pose,
     invert_pair,
     opened,
@@ -59,7 +59,7 @@ def test_a_sound_dataset_has_no_findings(sound, capsys):
     assert check(sound) == (0, [])
     printed = capsys.readouterr().out
     assert "0 errors, 0 warnings" in printed
-    assert "3 objects, 2 scenes; looked at 8 pictures, compared 24 projections" in printed
+    assert "3 objects, 2 scenes; looked at 8 images, compared 24 projections" in printed
 
 
 @pytest.mark.parametrize("case", DAMAGES)
@@ -128,9 +128,9 @@ def test_warnings_alone_leave_the_exit_code_at_zero(data, capsys):
 
 def test_wrong_projections_are_drawn_as_written_and_as_corrected(data, tmp_path, capsys):
     every_pose(data, lambda R, t: (GL @ R, GL @ t))
-    every_picture(data, "rgb/*", lambda p: np.full_like(p, 128))
+    every_image(data, "rgb/*", lambda p: np.full_like(p, 128))
     out = tmp_path / "overlays"
-    check(data, "--out", str(out), "--pictures", "3")
+    check(data, "--out", str(out), "--overlays", "3")
     files = sorted(out.iterdir())
     assert len(files) == 3
     assert all(str(file) in capsys.readouterr().out for file in files[:1])
@@ -153,9 +153,9 @@ def test_pairs_are_not_judged_by_poses_that_are_wrong_themselves(data, capsys):
     assert "pairs of 2 scenes were not compared" in capsys.readouterr().out
 
 
-def test_pictures_and_scenes_are_sampled(data, capsys):
+def test_images_and_scenes_are_sampled(data, capsys):
     assert check(data, "--images", "2")[0] == 0
-    assert "looked at 2 pictures" in capsys.readouterr().out
+    assert "looked at 2 images" in capsys.readouterr().out
     truncate(data / SCENE / "scene_gt.json")
     assert check(data, "--scenes", "1", "--split", "test")[0] == 0
     assert "1 scene;" in capsys.readouterr().out
@@ -170,7 +170,7 @@ def test_names_are_found_below_bop_path(data, monkeypatch, capsys):
     assert "no-such-set" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("option", ["scenes", "images", "pictures"])
+@pytest.mark.parametrize("option", ["scenes", "images", "overlays"])
 def test_negative_options_are_refused(option, sound, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["check-data", str(sound), f"--{option}", "-1"])

@@ -49,7 +49,7 @@ def test_what_is_hidden_is_no_fault(plate):
 
 
 @pytest.mark.parametrize("fraction", [0.5, 1.0])
-def test_what_is_outside_of_the_picture_may_count_or_not(plate, fraction):
+def test_what_is_outside_of_the_image_may_count_or_not(plate, fraction):
     mask = square(0, 95, 25, 145)
     assert Evidence.of_mask(mask, fraction).score(plate, at(-0.32, 0), K) > 0.9
 
