@@ -22,7 +22,7 @@ CORNERS = "it holds corners (left, top, right, bottom); BOP has left, top, width
 def check_info(scene: Scene, size: tuple[int, int] | None, findings: Findings) -> None:
     """Checks the numbers of all annotations against each other and the image's size (H, W)."""
     rows = scene.annotations
-    if not rows.described:
+    if not rows.has_info:
         return
 
     def complain(
