@@ -1,4 +1,4 @@
-"""How well an object in a pose covers what an image's mask, or box, says of it."""
+"""Scores how well an object's projection matches its mask or box."""
 
 from __future__ import annotations
 
