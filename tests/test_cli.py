@@ -22,7 +22,7 @@ from two_view_pose.pose_estimator.fusion import loading
 OPTIONS = {
     "demo": "seed object scene policy device out json",
     "generate": "out scenes objects scene seed workers",
-    "check-data": "split scenes images out pictures json",
+    "check-data": "split scenes images out overlays json",
     "train-estimator": "data out objects split stages init seed",
     "evaluate": "method weights preset solver roi scene objects data pairs csv score device json",
     "estimate": "reference second K relative-pose object method depth weights device out json",

@@ -158,7 +158,7 @@ def test_figures_on_the_data_and_on_fresh_scenes(
     assert run(f"evaluate --data {data} {known}") == 2
     wrong = capsys.readouterr().err
     assert "shows what the weights linemod know: ape (1), " in wrong
-    assert "there is train_pbr: say so with --split" in wrong
+    assert "available with --split: train_pbr" in wrong
 
 
 def test_an_episode_with_the_new_weights(weights: Path, mesh: Path):

@@ -1,21 +1,19 @@
-"""Boxes of BOP files: what they mean, and the box of a mask."""
+"""Bounding boxes as BOP files hold them."""
 
 from __future__ import annotations
 
 import numpy as np
 
 Box = tuple[int, int, int, int]
-"""Left, top, width and height in pixels; all -1 where there is nothing to enclose.
-
-As bop_toolkit counts them: width is the last column minus the first, one less than the columns
-covered."""
+"""Left, top, width, height in pixels; width is the last column minus the first, as in bop_toolkit,
+one less than the number of columns covered."""
 
 NO_BOX: Box = (-1, -1, -1, -1)
-"""The box of nothing."""
+"""The box of an empty mask."""
 
 
 def bounding_box(mask: np.ndarray) -> Box:
-    """The box of a mask's true pixels, as bool (H, W) or uint8."""
+    """Returns the box of the nonzero pixels of a mask, bool or uint8 (H, W)."""
     columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
     if not columns.size:
         return NO_BOX

@@ -1,7 +1,6 @@
 """COCO annotations of a BOP scene, as bop_toolkit's ``calc_gt_coco.py`` makes them.
 
-The boxes are those of the whole silhouettes, the segmentations those of the visible pixels.
-Segmentations are run lengths, not compressed, which every COCO reader takes
+Boxes are amodal, segmentations are of the visible pixels, as uncompressed run-length encoding (RLE)
 (https://cocodataset.org/#format-data).
 """
 
@@ -14,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.images import read_image
 from .boxes import bounding_box
 from .fields import read_json
+from .gt_info import read_binary_mask
 from .targets import LEAST_VISIBLE
 from .writer import write_json
 
@@ -24,21 +23,21 @@ COCO_FILE = "scene_gt_coco.json"
 
 
 def write_coco(folder: Path, obj_ids: Iterable[int]) -> None:
-    """Writes ``scene_gt_coco.json`` of a scene that lies on the disk.
+    """Writes ``scene_gt_coco.json`` of a scene folder with ``mask`` and ``mask_visib``.
 
-    Objects of which nothing is visible are left out; those of which too little is visible to be
-    targets are marked ``ignore``. No dates are written: the same scene gives the same bytes.
+    Invisible objects are left out; those with a visible fraction below that of targets are marked
+    ``ignore``. The file holds no dates, so the same scene gives the same bytes.
 
     Args:
-        folder: the scene's, with ``mask`` and ``mask_visib``.
+        folder: the scene's folder.
         obj_ids: the dataset's objects, which become COCO's categories.
 
     Raises:
-        InputError: if a file of the scene is missing or broken.
+        InputError: if a file of the scene is missing or invalid.
     """
     poses = read_json(folder / "scene_gt.json", dict)
     infos = read_json(folder / "scene_gt_info.json", dict)
-    pictures = {int(path.stem): path for path in (folder / "rgb").iterdir()}
+    paths = {int(path.stem): path for path in (folder / "rgb").iterdir()}
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for key in sorted(poses, key=int):
@@ -49,13 +48,13 @@ def write_coco(folder: Path, obj_ids: Iterable[int]) -> None:
             visible = _mask(folder / "mask_visib" / name)
             shape = visible.shape
             if visible.any():
-                whole = _mask(folder / "mask" / name)
-                entry = _annotation(visible, whole, ignore=info["visib_fract"] < LEAST_VISIBLE)
-                numbers = {"id": len(annotations) + 1, "image_id": image_id}
-                annotations.append(numbers | {"category_id": int(pose["obj_id"])} | entry)
-        if shape is None:
-            shape = _mask(pictures[image_id]).shape
-        images.append(_image(image_id, f"rgb/{pictures[image_id].name}", shape))
+                amodal = _mask(folder / "mask" / name)
+                entry = _annotation(visible, amodal, ignore=info["visib_fract"] < LEAST_VISIBLE)
+                ids = {"id": len(annotations) + 1, "image_id": image_id}
+                annotations.append(ids | {"category_id": int(pose["obj_id"])} | entry)
+        height, width = _mask(paths[image_id]).shape if shape is None else shape
+        image = {"id": image_id, "file_name": f"rgb/{paths[image_id].name}", "license": 1}
+        images.append(image | {"width": width, "height": height})
     categories = [
         {"id": obj_id, "name": str(obj_id), "supercategory": "object"} for obj_id in sorted(obj_ids)
     ]
@@ -64,39 +63,32 @@ def write_coco(folder: Path, obj_ids: Iterable[int]) -> None:
     write_json(folder / COCO_FILE, content | {"images": images, "annotations": annotations})
 
 
-def run_lengths(mask: np.ndarray) -> dict[str, list[int]]:
-    """COCO's run lengths of a mask, bool (H, W).
+def encode_rle(mask: np.ndarray) -> dict[str, list[int]]:
+    """Returns COCO's uncompressed RLE of a mask, bool (H, W).
 
-    Column after column, pixels that are out and pixels that are in take turns; the first count is
-    that of pixels that are out, and may be 0.
+    Runs are in column-major order; the first counts background pixels and may be 0.
     """
     pixels = mask.ravel(order="F")
-    turns = np.flatnonzero(np.diff(pixels)) + 1
-    counts = np.diff(turns, prepend=0, append=pixels.size).tolist()
+    changes = np.flatnonzero(np.diff(pixels)) + 1
+    counts = np.diff(changes, prepend=0, append=pixels.size).tolist()
     return {"counts": [0, *counts] if pixels[0] else counts, "size": list(mask.shape)}
 
 
-def _annotation(visible: np.ndarray, whole: np.ndarray, ignore: bool) -> dict[str, Any]:
-    left, top, width, height = bounding_box(whole)
+def _annotation(visible: np.ndarray, amodal: np.ndarray, ignore: bool) -> dict[str, Any]:
+    left, top, width, height = bounding_box(amodal)
     return {
         "iscrowd": 0,
         "ignore": ignore,
         "area": int(np.count_nonzero(visible)),
-        "bbox": [left, top, width + 1, height + 1],  # COCO counts the columns that are covered
-        "segmentation": run_lengths(visible),
+        "bbox": [left, top, width + 1, height + 1],  # COCO counts the columns covered
+        "segmentation": encode_rle(visible),
         "width": visible.shape[1],
         "height": visible.shape[0],
     }
 
 
-def _image(image_id: int, file_name: str, shape: tuple[int, ...]) -> dict[str, Any]:
-    size = {"width": shape[1], "height": shape[0]}
-    return {"id": image_id, "file_name": file_name, "license": 1, **size}
-
-
 def _mask(path: Path) -> np.ndarray:
-    """A mask's true pixels, bool (H, W)."""
-    try:
-        return read_image(path, "L") > 0
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} is missing or broken: COCO needs all masks") from error
+    mask = read_binary_mask(path)
+    if mask is None:
+        raise InputError(f"{path} is missing or broken: COCO needs all masks")
+    return mask

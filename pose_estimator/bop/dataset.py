@@ -1,9 +1,8 @@
-"""BOP datasets: their records, and reading them.
+"""Reads BOP datasets (Hodan et al., "BOP: Benchmark for 6D Object Pose Estimation", ECCV 2018;
+https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md).
 
-The format is that of the BOP benchmark (Hodan et al., "BOP: Benchmark for 6D Object Pose
-Estimation", ECCV 2018; https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md).
-Files hold millimeters; this module and those called ``bop_...`` beside it are the only places that
-know it. Everything they return or take is in meters, in the OpenCV camera frame.
+Files hold millimeters. Everything that this package returns or takes is in meters, in the OpenCV
+camera frame.
 """
 
 from __future__ import annotations
@@ -30,17 +29,17 @@ class BopAnnotation:
     """One object in one image.
 
     Attributes:
-        obj_id: the object's number.
+        obj_id: the object's id.
         T_cam_obj: object to camera, (4, 4), meters.
-        visibility: visible fraction of the silhouette, 0 to 1. What lies outside of the image
-            counts as invisible.
+        visibility: visible fraction of the silhouette, 0 to 1; pixels outside the image count as
+            invisible.
         bbox_visib: box of the visible pixels.
         bbox_obj: box of the whole silhouette; it may leave the image.
         px_count_visib: visible pixels.
-        px_count_all: pixels of the whole silhouette, also those outside of the image.
+        px_count_all: pixels of the whole silhouette, including those outside the image.
         mask_visib_path: mask of the visible pixels, where the dataset has masks.
 
-    Where the dataset has no ``scene_gt_info.json``, ``bop_info`` says what stands in for it.
+    Without ``scene_gt_info.json``, boxes, counts and visibility are those of `measure_masks`.
     """
 
     obj_id: int
@@ -58,13 +57,13 @@ class BopImage:
     """One image, its camera and the objects in it.
 
     Attributes:
-        scene_id: number of the scene folder.
-        image_id: number of the image in its scene.
+        scene_id: the scene's id.
+        image_id: the image's id in its scene.
         rgb_path: the image.
         depth_path: its depth map, or None.
-        depth_scale: millimeters for each step of the depth map.
+        depth_scale: millimeters per unit of the depth map.
         K: camera matrix in pixels, (3, 3).
-        T_cam_world: world to camera, (4, 4), meters; None where the dataset does not say.
+        T_cam_world: world to camera, (4, 4), meters; None where unknown.
         annotations: in the file's order.
     """
 
@@ -78,13 +77,13 @@ class BopImage:
     annotations: tuple[BopAnnotation, ...]
 
     def annotation(self, obj_id: int) -> BopAnnotation | None:
-        """The first annotation of the object, or None where it is not in the image."""
+        """Returns the first annotation of the object, or None where it has none."""
         return next((a for a in self.annotations if a.obj_id == obj_id), None)
 
 
 @dataclass(frozen=True)
 class BopDataset:
-    """One split of a dataset; iterating it reads scene after scene.
+    """One split of a dataset; iterating yields its images, one scene read at a time.
 
     Attributes:
         root: the dataset's folder.
@@ -104,7 +103,7 @@ class BopDataset:
         """Reads one scene: image id -> image, ascending.
 
         Raises:
-            InputError: if there is no such scene, or one of its files is broken.
+            InputError: if there is no such scene, or one of its files is invalid.
         """
         if scene_id not in self.scene_ids:
             raise InputError(
@@ -123,10 +122,8 @@ def read_dataset(root: str | Path, split: str = "test") -> BopDataset:
     folder = Path(root) / split
     if not folder.is_dir():
         others = sorted(p.parent.parent.name for p in Path(root).glob("*/[0-9]*/scene_camera.json"))
-        there = f"; there is {', '.join(dict.fromkeys(others))}: say so with --split"
-        raise InputError(
-            f"dataset has no split {split!r}: {folder} is not a folder{there if others else ''}"
-        )
+        hint = f"; available with --split: {', '.join(dict.fromkeys(others))}" if others else ""
+        raise InputError(f"dataset has no split {split!r}: {folder} is not a folder{hint}")
     scene_ids = sorted(int(p.name) for p in folder.iterdir() if p.name.isdigit() and p.is_dir())
     if not scene_ids:
         raise InputError(f"{folder} holds no scenes (folders such as 000000)")
@@ -134,7 +131,7 @@ def read_dataset(root: str | Path, split: str = "test") -> BopDataset:
 
 
 def read_rgb(image: BopImage) -> np.ndarray:
-    """The image as RGB uint8, (H, W, 3).
+    """Returns the image as RGB uint8, (H, W, 3).
 
     Raises:
         OSError: if the file cannot be opened.
@@ -144,11 +141,11 @@ def read_rgb(image: BopImage) -> np.ndarray:
 
 
 def read_depth(image: BopImage) -> np.ndarray:
-    """The depth map in meters as float32, (H, W); 0 where there is none.
+    """Returns the depth map in meters as float32, (H, W); 0 where unknown.
 
     Raises:
         OSError: if the file cannot be opened.
-        InputError: if the dataset holds no depth for this image, or the file is broken.
+        InputError: if the image has no depth map, or the file is invalid.
     """
     if image.depth_path is None:
         raise InputError(f"scene {image.scene_id}, image {image.image_id} has no depth map")
@@ -157,11 +154,11 @@ def read_depth(image: BopImage) -> np.ndarray:
 
 
 def read_mask(annotation: BopAnnotation) -> np.ndarray:
-    """Mask of the object's visible pixels, bool (H, W).
+    """Returns the mask of the object's visible pixels, bool (H, W).
 
     Raises:
         OSError: if the file cannot be opened.
-        InputError: if the dataset holds no masks, or the file is broken.
+        InputError: if the dataset has no masks, or the file is invalid.
     """
     if annotation.mask_visib_path is None:
         raise InputError(f"the dataset has no mask of object {annotation.obj_id}")
@@ -170,15 +167,13 @@ def read_mask(annotation: BopAnnotation) -> np.ndarray:
 
 def _read_scene(folder: Path, scene_id: int) -> dict[int, BopImage]:
     scene = read_scene(folder, scene_id)
-    assert scene is not None  # else it has raised
+    assert scene is not None  # read_scene raises where it has no scene
     annotations = _annotations(scene)
     path = scene.camera_path
-    known = np.flatnonzero(~np.isnan(scene.T_cam_world[:, 0, 0]))
-    T_cam_world = dict.fromkeys(scene.image_id.tolist())
-    worlds = rigid(
-        scene.T_cam_world[known], lambda i: f"{path}: image {scene.image_id[known[i]]}: world"
-    )
-    T_cam_world |= dict(zip(scene.image_id[known].tolist(), worlds, strict=True))
+    known = ~np.isnan(scene.T_cam_world[:, 0, 0])
+    ids = scene.image_id[known].tolist()
+    worlds = rigid(scene.T_cam_world[known], lambda i: f"{path}: image {ids[i]}: world")
+    T_cam_world = dict(zip(ids, worlds, strict=True))
     return {
         image_id: BopImage(
             scene_id=scene_id,
@@ -187,7 +182,7 @@ def _read_scene(folder: Path, scene_id: int) -> dict[int, BopImage]:
             depth_path=scene.depths.get(image_id),
             depth_scale=float(scale),
             K=check_intrinsics(K, f"{path}: image {image_id}: field 'cam_K'"),
-            T_cam_world=T_cam_world[image_id],
+            T_cam_world=T_cam_world.get(image_id),
             annotations=tuple(annotations.get(image_id, ())),
         )
         for image_id, scale, K in zip(
@@ -197,12 +192,12 @@ def _read_scene(folder: Path, scene_id: int) -> dict[int, BopImage]:
 
 
 def _annotations(scene: Scene) -> dict[int, list[BopAnnotation]]:
-    """Image id -> its annotations."""
-    rows = scene.annotations if scene.annotations.described else measure_masks(scene)
+    """Returns image id -> its annotations."""
+    rows = scene.annotations if scene.annotations.has_info else measure_masks(scene)
     T_cam_obj = rigid(
         rows.T_cam_obj, lambda row: f"{scene.gt_path}: {scene.place(row)}: field 'cam_R_m2c'"
     )
-    masked = (scene.folder / "mask_visib").is_dir()
+    has_masks = (scene.folder / "mask_visib").is_dir()
     annotations: dict[int, list[BopAnnotation]] = {}
     for row, image_id in enumerate(rows.image_id.tolist()):
         annotations.setdefault(image_id, []).append(
@@ -214,7 +209,7 @@ def _annotations(scene: Scene) -> dict[int, list[BopAnnotation]]:
                 bbox_obj=tuple(rows.bbox_obj[row].astype(int).tolist()),
                 px_count_visib=int(rows.px_count_visib[row]),
                 px_count_all=int(rows.px_count_all[row]),
-                mask_visib_path=scene.mask_path(row) if masked else None,
+                mask_visib_path=scene.mask_path(row) if has_masks else None,
             )
         )
     return annotations

@@ -1,7 +1,7 @@
-"""Fields of BOP files, checked.
+"""Reads and validates fields of BOP files.
 
-What is broken is handed to a callback of the kind `Report`. The default, `refuse`, raises; a linter
-passes one that collects, and reads on with NaN in the place of what is missing.
+Invalid fields are passed to a callback of type `Report`. The default, `refuse`, raises; a linter
+passes one that collects them, and gets NaN for invalid values.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from ...core.geometry import check_rigid
 MM = 1000.0
 """Millimeters in a meter."""
 
-LARGEST = 1e9
-"""No number of a BOP file is larger."""
+MAX_VALUE = 1e9
+"""Larger numbers in a BOP file are invalid."""
 
 ROTATION_TOLERANCE = 5e-2
-"""How far from orthonormal a rotation on disk may be; it is then replaced by the nearest one."""
+"""Largest deviation from orthonormal of a rotation on disk; it is replaced by the nearest one."""
 
-REPAIR = "write the file anew, or fetch it again"
+REPAIR = "write or download the file again"
 
 Report = Callable[..., None]
-"""Takes file, field and problem, and by name ``place``, ``detail``, ``cause`` and ``remedy``."""
+"""Takes file, field, problem, and the keywords ``place``, ``detail``, ``cause`` and ``remedy``."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where in a dataset something stands; None where it does not apply.
+    """A location in a dataset; None where a field does not apply.
 
     Attributes:
-        scene: number of the scene.
-        image: number of the image.
+        scene: scene id.
+        image: image id.
         annotation: position in the image's list of annotations.
-        entry: the entry of a file that is not of a scene, such as ``pair 3``.
+        entry: entry of a file outside the scenes, such as ``pair 3``.
     """
 
     scene: int | None = None
@@ -57,33 +57,33 @@ class Place:
 def refuse(
     file: Path, field: str, problem: str, *, place: Place = Place(), detail: str = "", **_: str
 ) -> NoReturn:
-    """Raises a ValueError that names file, place and field."""
+    """Raises an InputError that names file, place and field."""
     where = f"{file}, {place}:" if place != Place() else f"{file}:"
     if field == "file":
         where = f"{file}"
-    elif not problem.startswith(("a ", "an ")):
+    elif not problem.startswith(("a ", "an ")):  # else the problem names what it is about
         where += f" field {field!r}"
     problem = problem.removeprefix("the field ")
     raise InputError(f"{where} {problem}" + (f" ({detail})" if detail else ""))
 
 
 def read_json(path: Path, kind: type | tuple[type, ...], report: Report = refuse) -> Any:
-    """The content of a JSON file whose outermost value is of ``kind``; None where it is broken."""
-    twice: list[str] = []
+    """Returns the content of a JSON file, of type ``kind``; None where it is invalid."""
+    duplicates: list[str] = []
 
     def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
         content = dict(items)
         if len(content) < len(items):
             keys = [key for key, _ in items]
-            twice.extend(sorted({key for key in keys if keys.count(key) > 1}))
+            duplicates.extend(sorted({key for key in keys if keys.count(key) > 1}))
         return content
 
     try:
-        # Readers take the last of equal keys; to look for them takes three times as long.
+        # JSON readers take the last of equal keys; finding duplicates triples the time.
         hook = None if report is refuse else pairs
         content = json.loads(path.read_text(), object_pairs_hook=hook)
     except FileNotFoundError:
-        report(path, "file", "is missing", remedy="restore the file or write it anew")
+        report(path, "file", "is missing", remedy="restore the file or write it again")
         return None
     except OSError as error:
         report(path, "file", "cannot be read", detail=str(error.strerror), remedy=REPAIR)
@@ -94,18 +94,18 @@ def read_json(path: Path, kind: type | tuple[type, ...], report: Report = refuse
             cause="truncated by a full disk or a killed process, or edited by hand", remedy=REPAIR,
         )  # fmt: skip
         return None
-    for key in twice:
+    for key in duplicates:
         report(
-            path, "keys", "a key is there twice", detail=f"key {key!r}",
-            cause="scenes were joined without new numbers; readers see the last one alone",
-            remedy="give each picture and object a number of its own",
+            path, "keys", "a key is duplicated", detail=f"key {key!r}",
+            cause="scenes were merged without renumbering; readers see only the last entry",
+            remedy="give each image and object an id of its own",
         )  # fmt: skip
     if not isinstance(content, kind):
         kinds = kind if isinstance(kind, tuple) else (kind,)
-        expected = " or ".join(f"a {k.__name__}" for k in kinds)
+        expected = " or ".join(k.__name__ for k in kinds)
         report(
-            path, "file", "holds the wrong kind of JSON", remedy="see BOP's description of formats",
-            detail=f"a {type(content).__name__} instead of {expected}",
+            path, "file", "has the wrong JSON type", remedy="see BOP's description of formats",
+            detail=f"expected {expected}, got {type(content).__name__}",
         )  # fmt: skip
         return None
     return content
@@ -120,12 +120,12 @@ def read_numbers(
     report: Report = refuse,
     *,
     optional: bool = False,
-    largest: float = LARGEST,
+    max_value: float = MAX_VALUE,
 ) -> np.ndarray:
-    """The field ``name`` of all entries as float64 (N, size), NaN rows where it is broken."""
+    """Returns the field ``name`` of all entries as float64 (N, size); invalid rows are NaN."""
     try:
         values = np.array([e[name] for e in entries], dtype=np.float64).reshape(len(entries), size)
-        if (np.abs(values) < largest).all():
+        if (np.abs(values) < max_value).all():
             return values
     except (KeyError, TypeError, ValueError):
         pass
@@ -142,15 +142,15 @@ def read_numbers(
             numbers = np.empty(0)
         if numbers.size != size:
             problem = "must be a number" if size == 1 else f"must be {size} numbers"
-        elif not (np.abs(numbers) < largest).all():
-            problem = "is NaN, infinite or far too large"
+        elif not (np.abs(numbers) < max_value).all():
+            problem = "is NaN, infinite or too large"
         else:
             values[row] = numbers
             continue
         report(
             path, name, problem, place=place, detail=str(entry[name])[:60],
             cause="a failed fit or a division by zero" if "NaN" in problem else "",
-            remedy="remove the annotation or compute it anew",
+            remedy="remove the annotation or compute it again",
         )  # fmt: skip
     return values
 
@@ -162,9 +162,9 @@ def read_transforms(
     places: Sequence[Place],
     report: Report = refuse,
 ) -> np.ndarray:
-    """Rotations and translations in millimeters as (N, 4, 4) in meters, NaN where one is broken.
+    """Returns rotations and translations in millimeters as (N, 4, 4) in meters, NaN if invalid.
 
-    Rotations are left as they are: see `rigid`.
+    Rotations are not made orthonormal: see `rigid`.
     """
     T = np.tile(np.eye(4), (len(entries), 1, 1))
     T[:, :3, :3] = read_numbers(entries, names[0], 9, path, places, report).reshape(-1, 3, 3)
@@ -174,26 +174,23 @@ def read_transforms(
 
 
 def rotation_errors(rotations: np.ndarray) -> np.ndarray:
-    """How far matrices (N, 3, 3) are from orthonormal, (N,); infinite for those that mirror."""
+    """Returns max |R R^T - I| of matrices (N, 3, 3) as (N,); infinite for reflections."""
     errors = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
     return np.where(np.linalg.det(rotations) < 0, np.inf, errors)
 
 
 def rigid(T: np.ndarray, name: Callable[[int], str] = str) -> np.ndarray:
-    """Transforms (N, 4, 4) with rotations that are orthonormal to the last digit, in place.
+    """Makes the rotations of transforms (N, 4, 4) orthonormal in place, and returns the transforms.
 
-    Recorded datasets are careless here (some of LM-O's are off by 1 percent), and later checks
-    would refuse them.
+    Recorded datasets store rounded rotations (some of LM-O's are off by 1 percent).
 
     Raises:
-        InputError: if one is further off than ``ROTATION_TOLERANCE``; ``name`` says what to call
-            it by its number.
+        InputError: if an error exceeds ``ROTATION_TOLERANCE``; ``name(i)`` names the transform.
     """
-    rotations = T[:, :3, :3]
-    errors = rotation_errors(rotations)
+    errors = rotation_errors(T[:, :3, :3])
     for i in np.flatnonzero(errors > ROTATION_TOLERANCE).tolist():
         check_rigid(T[i], name(i), ROTATION_TOLERANCE)
     rounded = errors > 1e-12
-    U, _, Vt = np.linalg.svd(rotations[rounded])
+    U, _, Vt = np.linalg.svd(T[rounded, :3, :3])
     T[rounded, :3, :3] = U @ Vt
     return T

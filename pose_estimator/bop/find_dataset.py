@@ -1,4 +1,4 @@
-"""Where a dataset is: a folder, or a name below the folder that BOP_PATH names."""
+"""Locates a dataset: a folder, or a name in the folder $BOP_PATH."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ BOP_PATH = "BOP_PATH"
 
 
 def find_dataset(data: str | Path) -> Path:
-    """The folder of a dataset.
+    """Returns the folder of a dataset.
 
     Args:
-        data: a folder; or, where there is no such folder, a dataset's name such as ``lmo``, which
-            is looked for in the folder that the environment variable BOP_PATH names.
+        data: a folder, or the name of a folder in $BOP_PATH such as ``lmo``.
 
     Raises:
         InputError: if neither is a folder.

@@ -1,8 +1,8 @@
-"""Two-view pairs of any BOP dataset, also of one that comes without a list of them.
+"""Finds two-view pairs of a BOP dataset that has no list of them.
 
-Which two images make a pair is taken from ``two_view_pairs.json``; else from the cameras' poses
-in the world (``cam_R_w2c``); else from the objects: where two or more keep their places to each
-other from one image to the next, they stood still, and how the camera moved follows from them.
+The relative camera pose comes from the cameras' world poses (``cam_R_w2c``), else from the objects:
+where two or more keep their relative pose from one image to the next, they are static and give the
+camera's motion.
 """
 
 from __future__ import annotations
@@ -19,36 +19,34 @@ from .models_info import read_models_info
 from .pairs import PAIRS_FILE, BopPair, read_pairs
 from .targets import LEAST_VISIBLE
 
-STILL_METERS = 0.005
-STILL_DEGREES = 2.0
-"""An object that is farther from where it would be if it had stood still was moved."""
+MAX_STATIC_METERS = 0.005
+MAX_STATIC_DEGREES = 2.0
+"""An object whose pose deviates more from that of a static object has moved."""
 
 MAX_SYMMETRIES = 8
-"""An object with more symmetries than that does not say how the camera moved."""
-
+"""Objects with more symmetries do not propose a camera motion from their symmetric poses."""
 
 BASELINES = (10.0, 60.0)
-"""Smallest and largest angle in degrees between the two rays from an object to the cameras, in the
-mean over the objects that stood still."""
+"""Smallest and largest baseline angle in degrees, the mean over the static objects."""
 
-MAX_PER_REFERENCE = 4
-"""Most pairs with one reference view; they are spread over the baselines."""
+MAX_PAIRS_PER_REFERENCE = 4
+"""Pairs with one reference view; they are spread over the baselines."""
 
 MAX_IMAGES = 200
-"""Of a longer scene so many images, evenly spread, are looked at."""
+"""Images of a scene to pair; a longer scene is subsampled evenly."""
 
 
 def find_pairs(dataset: BopDataset, pairs: Path | None = None) -> tuple[BopPair, ...]:
-    """The pairs of a split: those that a file lists, else those that can be found.
+    """Returns the pairs of a split: those of a file where there is one, else those found.
 
-    The same files give the same pairs.
+    The result is deterministic.
 
     Args:
         dataset: the split.
-        pairs: a file of pairs; none = ``two_view_pairs.json`` of the dataset where it has one.
+        pairs: a file of pairs; None = ``two_view_pairs.json`` of the dataset where it has one.
 
     Raises:
-        InputError: if a file is broken, or no pair can be found.
+        InputError: if a file is invalid, or no pair is found.
     """
     if pairs is not None or (dataset.root / PAIRS_FILE).is_file():
         return read_pairs(pairs or dataset.root)
@@ -59,8 +57,8 @@ def find_pairs(dataset: BopDataset, pairs: Path | None = None) -> tuple[BopPair,
     if not found:
         low, high = BASELINES
         raise InputError(
-            f"{dataset.root / dataset.split} has no {PAIRS_FILE}, and no two pictures of a scene "
-            f"show an object that stood still from {low:g} to {high:g} degrees apart"
+            f"{dataset.root / dataset.split} has no {PAIRS_FILE}, and no two images of a scene "
+            f"show a static object from {low:g} to {high:g} degrees apart"
         )
     return tuple(found)
 
@@ -68,16 +66,15 @@ def find_pairs(dataset: BopDataset, pairs: Path | None = None) -> tuple[BopPair,
 def pairs_of_scene(
     images: Sequence[BopImage], symmetries: Mapping[int, np.ndarray]
 ) -> list[BopPair]:
-    """The pairs of one scene, by reference view and rising baseline.
+    """Returns the pairs of one scene, sorted by reference view and baseline.
 
-    Where all images know their cameras in the world, that is how the camera moved. Else each
-    object that both images show proposes a motion, and the one that most objects agree with is
-    taken; the motion of a single object is taken as it is. Objects that an image shows twice are
-    left out, since which one is meant cannot be told.
+    The camera's motion comes from the world poses where all images have one. Else each object in
+    both images proposes a motion, and the one with most inlier objects is used; with a single
+    object its motion is used. Objects that an image shows twice are ignored as ambiguous.
 
     Args:
         images: of the scene, ascending.
-        symmetries: obj_id -> transforms (S, 4, 4) under which it looks the same, identity first.
+        symmetries: obj_id -> symmetry transforms (S, 4, 4), identity first.
     """
     if len(images) > MAX_IMAGES:
         chosen = np.linspace(0, len(images) - 1, MAX_IMAGES).round().astype(int)
@@ -86,18 +83,18 @@ def pairs_of_scene(
     found = []
     for reference in range(len(images)):
         visible = scene.visibility[reference] >= LEAST_VISIBLE
-        T_second_ref, still = scene.motions(reference)
+        T_second_ref, static = scene.motions(reference)
         baselines = scene.baselines(reference, T_second_ref)
-        still &= visible
-        still[reference] = False
-        count = still.sum(axis=1)
-        mean = np.where(still, baselines, 0).sum(axis=1) / np.maximum(count, 1)
+        static &= visible
+        static[reference] = False
+        count = static.sum(axis=1)
+        mean = np.where(static, baselines, 0).sum(axis=1) / np.maximum(count, 1)
         within = (mean >= BASELINES[0]) & (mean <= BASELINES[1])
         seconds = np.flatnonzero((count > 0) & within)
         seconds = seconds[np.argsort(mean[seconds], kind="stable")]
-        if len(seconds) > MAX_PER_REFERENCE:
-            places = (np.arange(MAX_PER_REFERENCE) + 0.5) * len(seconds) / MAX_PER_REFERENCE
-            seconds = seconds[places.astype(int)]
+        if len(seconds) > MAX_PAIRS_PER_REFERENCE:
+            chosen = np.arange(MAX_PAIRS_PER_REFERENCE) + 0.5
+            seconds = seconds[(chosen * len(seconds) / MAX_PAIRS_PER_REFERENCE).astype(int)]
         for second in seconds.tolist():
             found.append(
                 BopPair(
@@ -107,7 +104,7 @@ def pairs_of_scene(
                     T_second_ref=T_second_ref[second],
                     baselines_deg={
                         scene.obj_ids[o]: float(baselines[second, o])
-                        for o in np.flatnonzero(still[second])
+                        for o in np.flatnonzero(static[second])
                     },
                 )
             )
@@ -115,7 +112,7 @@ def pairs_of_scene(
 
 
 class _Scene:
-    """The poses of a scene as arrays: images by objects; NaN where an object is not shown."""
+    """The poses of a scene as arrays (images, objects, ...); NaN where an object is not shown."""
 
     def __init__(self, images: Sequence[BopImage], symmetries: Mapping[int, np.ndarray]):
         shown = [[a.obj_id for a in image.annotations] for image in images]
@@ -135,33 +132,31 @@ class _Scene:
             self.T_cam_world = np.stack(worlds)
 
     def motions(self, reference: int) -> tuple[np.ndarray, np.ndarray]:
-        """T_second_ref (N, 4, 4) for every second view, and what stood still, bool (N, O)."""
+        """Returns T_second_ref (N, 4, 4) for each second view, and static objects, bool (N, O)."""
         if self.T_cam_world is not None:
             T = self.T_cam_world @ invert(self.T_cam_world[reference])
-            return T, self._still(reference, T)
+            return T, self._static(reference, T)
         count, objects = self.T.shape[:2]
         best_T = np.tile(np.eye(4), (count, 1, 1))
         best = np.zeros((count, objects), dtype=bool)
-        # Objects without symmetry first: they say with certainty how the camera moved.
+        # Objects without symmetry first: the motion that they propose is unambiguous.
         for o in sorted(range(objects), key=lambda o: (len(self.symmetries[o]), o)):
             if np.isnan(self.T[reference, o, 0, 0]):
                 continue
-            turns = (
-                self.symmetries[o] if len(self.symmetries[o]) <= MAX_SYMMETRIES else np.eye(4)[None]
-            )
-            for S in turns:
+            symmetries = self.symmetries[o]
+            for S in symmetries if len(symmetries) <= MAX_SYMMETRIES else np.eye(4)[None]:
                 T = self.T[:, o] @ S @ invert(self.T[reference, o])
-                still = self._still(reference, T)
-                better = still.sum(axis=1) > best.sum(axis=1)
-                best[better], best_T[better] = still[better], T[better]
+                static = self._static(reference, T)
+                better = static.sum(axis=1) > best.sum(axis=1)
+                best[better], best_T[better] = static[better], T[better]
         shown = ~np.isnan(self.T[..., 0, 0])
         common = (shown & shown[reference]).sum(axis=1)
         best[(best.sum(axis=1) < 2) & (common > 1)] = False
         return best_T, best
 
-    def _still(self, reference: int, T_second_ref: np.ndarray) -> np.ndarray:
-        """Which objects (N, O) are where they would be if only the camera had moved."""
-        still = np.zeros(self.T.shape[:2], dtype=bool)
+    def _static(self, reference: int, T_second_ref: np.ndarray) -> np.ndarray:
+        """Returns which objects (N, O) have the pose that they have if only the camera moved."""
+        static = np.zeros(self.T.shape[:2], dtype=bool)
         with np.errstate(invalid="ignore"):
             for o, symmetries in enumerate(self.symmetries):
                 expected = (T_second_ref @ self.T[reference, o])[:, None] @ symmetries
@@ -169,12 +164,12 @@ class _Scene:
                 distance = np.linalg.norm(expected[..., :3, 3] - seen[..., :3, 3], axis=-1)
                 trace = (expected[..., :3, :3] * seen[..., :3, :3]).sum(axis=(-1, -2))
                 angle = np.arccos(np.clip((trace - 1) / 2, -1, 1))
-                near = (distance <= STILL_METERS) & (angle <= np.radians(STILL_DEGREES))
-                still[:, o] = near.any(axis=1)
-        return still
+                near = (distance <= MAX_STATIC_METERS) & (angle <= np.radians(MAX_STATIC_DEGREES))
+                static[:, o] = near.any(axis=1)
+        return static
 
     def baselines(self, reference: int, T_second_ref: np.ndarray) -> np.ndarray:
-        """Degrees (N, O) between the rays from each object to both cameras."""
+        """Returns degrees (N, O) between the rays from each object to both cameras."""
         centers = self.T[reference, :, :3, 3]
         camera = invert(T_second_ref)[:, None, :3, 3]  # the second camera in the reference frame
         first, second = -centers[None], camera - centers[None]

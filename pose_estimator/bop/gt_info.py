@@ -1,4 +1,4 @@
-"""What stands in for ``scene_gt_info.json``, which the test splits of some datasets lack."""
+"""Computes what ``scene_gt_info.json`` holds, which the test splits of some datasets lack."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from .scene import Scene, SceneAnnotations
 
 
 def measure_masks(scene: Scene) -> SceneAnnotations:
-    """The annotations of a scene with what its masks say, where there are any.
+    """Returns the annotations of a scene with boxes, pixel counts and visibility from its masks.
 
-    What nothing tells is given as nothing being in the way: a visible fraction of 1, boxes and
-    pixel counts of -1. With ``mask_visib`` the visible box and count are exact; with ``mask`` too,
-    so is the visible fraction, but for what lies outside of the image.
+    Without masks the visible fraction is 1, boxes and pixel counts are -1. With ``mask_visib`` the
+    visible box and count are exact; with ``mask`` too, the visible fraction is that within the
+    image.
     """
     count = len(scene.annotations.index)
     visibility = np.ones(count)
     boxes = np.tile(NO_BOX, (2, count, 1)).astype(float)
     pixels = np.full((2, count), -1.0)
     for row in range(count):
-        visible = _read(scene.mask_path(row))
+        visible = read_binary_mask(scene.mask_path(row))
         if visible is None:
             continue
         boxes[0, row], pixels[0, row] = bounding_box(visible), visible.sum()
-        whole = _read(scene.mask_path(row, "mask"))
-        if whole is not None:
-            boxes[1, row], pixels[1, row] = bounding_box(whole), whole.sum()
-            visibility[row] = min(1.0, float(visible.sum()) / max(1, int(whole.sum())))
+        amodal = read_binary_mask(scene.mask_path(row, "mask"))
+        if amodal is not None:
+            boxes[1, row], pixels[1, row] = bounding_box(amodal), amodal.sum()
+            visibility[row] = min(1.0, float(visible.sum()) / max(1, int(amodal.sum())))
     return replace(
         scene.annotations,
         visibility=visibility,
@@ -42,8 +42,8 @@ def measure_masks(scene: Scene) -> SceneAnnotations:
     )
 
 
-def _read(path: Path) -> np.ndarray | None:
-    """A mask, or None where the file is missing or broken: who needs it will say so."""
+def read_binary_mask(path: Path) -> np.ndarray | None:
+    """Returns a mask, bool (H, W), or None where the file is missing or broken."""
     try:
         return read_image(path, "L") > 0
     except (OSError, ValueError):

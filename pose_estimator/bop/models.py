@@ -1,7 +1,7 @@
-"""The models of a BOP dataset: ``models`` to be seen, ``models_eval`` to be measured with.
+"""Writes the models of a BOP dataset: textured ``models`` and decimated ``models_eval``.
 
-Both hold one PLY file in millimeters for each object, and the same ``models_info.json``, so that
-poses are judged by one diameter and by the same symmetries wherever they are judged.
+Both hold one PLY file in millimeters per object and the same ``models_info.json``, so that every
+evaluation uses the same diameters and symmetries.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import fast_simplification
 import numpy as np
 import trimesh
@@ -19,32 +18,28 @@ from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
 from ...core.files import write_atomically
 from .fields import MM
-from .writer import write_json
+from .writer import encode_image, write_json
 
 EVALUATION_FACES = 1500
 """Triangles of a decimated mesh; the diameters of our objects change by less than 0.2 percent."""
-
-_AGGRESSION = 3.0
 
 
 def write_models(root: str | Path, objects: Iterable[ObjectModel]) -> None:
     """Writes textured PLY files in millimeters, and ``models_info.json``.
 
-    The file says each object's name beside BOP's own fields.
+    In addition to BOP's fields, the file holds each object's ``name``.
 
     Raises:
-        InputError: if two objects share a number.
+        InputError: if two objects share an id.
     """
     objects = list(objects)
     folder = Path(root) / "models"
     infos = _infos(objects)
     for model in objects:
-        stem = folder / f"obj_{model.obj_id:06d}"
-        done, picture = cv2.imencode(".png", np.ascontiguousarray(model.texture[..., ::-1]))
-        if not done:
-            raise InputError(f"the texture of {model.name!r} cannot be encoded")
-        write_atomically(stem.with_suffix(".png"), picture.tobytes())
-        write_atomically(stem.with_suffix(".ply"), _textured_ply(model, f"{stem.name}.png"))
+        ply = folder / f"obj_{model.obj_id:06d}.ply"
+        png = ply.with_suffix(".png")
+        write_atomically(png, encode_image(png, model.texture[..., ::-1]))
+        write_atomically(ply, _textured_ply(model, png.name))
     write_json(folder / "models_info.json", infos)
 
 
@@ -52,7 +47,7 @@ def write_evaluation_models(root: str | Path, objects: Iterable[ObjectModel]) ->
     """Writes ``models_eval``: decimated meshes with normals, without texture, in millimeters.
 
     Raises:
-        InputError: if two objects share a number.
+        InputError: if two objects share an id.
     """
     objects = list(objects)
     folder = Path(root) / "models_eval"
@@ -66,9 +61,9 @@ def write_evaluation_models(root: str | Path, objects: Iterable[ObjectModel]) ->
 
 
 def evaluation_mesh(model: ObjectModel, faces: int = EVALUATION_FACES) -> trimesh.Trimesh:
-    """The surface of an object without texture and with at most ``faces`` triangles, meters.
+    """Returns an object's mesh without texture, decimated to at most ``faces`` triangles, meters.
 
-    The points that texture seams double become one. Quadric edge collapse (Garland and Heckbert,
+    Vertices that texture seams duplicate are merged. Quadric edge collapse (Garland and Heckbert,
     "Surface simplification using quadric error metrics", SIGGRAPH 1997).
     """
     mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
@@ -79,13 +74,13 @@ def evaluation_mesh(model: ObjectModel, faces: int = EVALUATION_FACES) -> trimes
         np.ascontiguousarray(mesh.vertices / model.diameter),  # its thresholds are lengths
         np.ascontiguousarray(mesh.faces),
         target_count=faces,
-        agg=_AGGRESSION,
+        agg=3.0,
     )
     return trimesh.Trimesh(vertices * model.diameter, triangles, process=False)
 
 
 def _infos(objects: Iterable[ObjectModel]) -> dict[str, dict[str, Any]]:
-    """The content of ``models_info.json``."""
+    """Returns the content of ``models_info.json``."""
     infos: dict[str, dict[str, Any]] = {}
     for model in objects:
         if str(model.obj_id) in infos:
@@ -111,7 +106,7 @@ def _info(model: ObjectModel) -> dict[str, Any]:
 
 
 def _textured_ply(model: ObjectModel, texture: str) -> bytes:
-    """A PLY with the texture coordinates that BOP's renderers read (texture_u, texture_v)."""
+    """Returns a PLY with the properties texture_u and texture_v that BOP's renderers read."""
     mesh = trimesh.Trimesh(model.vertices * MM, model.faces, process=False)
     uv = np.asarray(model.uv, dtype=np.float32)
     mesh.vertex_attributes = {"texture_u": uv[:, 0], "texture_v": uv[:, 1]}

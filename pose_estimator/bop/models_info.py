@@ -1,4 +1,4 @@
-"""``models_info.json`` of a BOP dataset: the sizes and the symmetries of its objects."""
+"""Reads ``models_info.json`` of a BOP dataset: sizes and symmetries of its objects."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from scipy.spatial.transform import Rotation
 from .fields import MM, Place, Report, read_json, read_numbers, refuse, rigid
 
 CONTINUOUS_SYMMETRY_STEPS = 72
-"""How many rotations stand for a continuous symmetry."""
+"""Rotations that discretize a continuous symmetry."""
 
 
 @dataclass(frozen=True, eq=False)
 class BopModelInfo:
-    """What ``models_info.json`` says of one object.
+    """One object's entry of ``models_info.json``.
 
     Attributes:
-        obj_id: its number.
-        name: its name, or None (the field is not part of BOP).
+        obj_id: its id.
+        name: its name, or None (not a field of BOP).
         diameter: largest distance between two surface points, meters.
         minimum: lower corner of the bounding box, (3,), meters.
         extents: sides of the bounding box, (3,), meters.
-        discrete: (D, 4, 4) discrete symmetries, without the identity, meters.
+        discrete: (D, 4, 4) discrete symmetries without the identity, meters.
         axes: (C, 6) continuous symmetries: axis, and a point on it in meters.
         mesh_path: its PLY file (in millimeters).
     """
@@ -43,27 +43,26 @@ class BopModelInfo:
 
     @cached_property
     def symmetries(self) -> np.ndarray:
-        """(S, 4, 4) transforms under which it looks the same, identity first, meters.
+        """Symmetry transforms (S, 4, 4), identity first, meters.
 
-        A continuous symmetry counts as ``CONTINUOUS_SYMMETRY_STEPS`` discrete ones.
+        A continuous symmetry becomes ``CONTINUOUS_SYMMETRY_STEPS`` discrete ones.
         """
         found = [np.eye(4), *self.discrete]
+        angles = np.linspace(0, 2 * np.pi, CONTINUOUS_SYMMETRY_STEPS, endpoint=False)[1:]
         for axis, offset in zip(self.axes[:, :3], self.axes[:, 3:], strict=True):
-            angles = np.linspace(0, 2 * np.pi, CONTINUOUS_SYMMETRY_STEPS, endpoint=False)[1:]
-            turns = np.tile(np.eye(4), (len(angles), 1, 1))
-            turns[:, :3, :3] = Rotation.from_rotvec(
-                angles[:, None] * axis / np.linalg.norm(axis)
-            ).as_matrix()
-            turns[:, :3, 3] = offset - turns[:, :3, :3] @ offset
-            found = [*found, *(T @ turn for T in found for turn in turns)]
+            vectors = angles[:, None] * axis / np.linalg.norm(axis)
+            rotations = np.tile(np.eye(4), (len(angles), 1, 1))
+            rotations[:, :3, :3] = Rotation.from_rotvec(vectors).as_matrix()
+            rotations[:, :3, 3] = offset - rotations[:, :3, :3] @ offset
+            found = [*found, *(T @ rotation for T in found for rotation in rotations)]
         return np.stack(found)
 
 
 def read_models_info(root: str | Path, folder: str = "models") -> dict[int, BopModelInfo]:
-    """Reads ``models_info.json``: obj_id -> what it says, in meters.
+    """Reads ``models_info.json``: obj_id -> its entry.
 
     Raises:
-        InputError: if the file is missing or broken; the message names file and field.
+        InputError: if the file is missing or invalid; the message names file and field.
     """
     path = Path(root) / folder / "models_info.json"
     infos = read_entries(path)
@@ -73,16 +72,16 @@ def read_models_info(root: str | Path, folder: str = "models") -> dict[int, BopM
 
 
 def read_entries(path: Path, report: Report = refuse) -> dict[int, BopModelInfo]:
-    """The entries of ``models_info.json`` as they are: NaN where broken, any symmetries.
+    """Returns the entries of ``models_info.json``: invalid numbers are NaN, symmetries unchecked.
 
     Raises:
-        InputError: of ``report``, where something is broken.
+        InputError: by the default ``report``, where a field is invalid.
     """
     infos = {}
     for key, entry in (read_json(path, dict, report) or {}).items():
         if not key.isdigit() or not isinstance(entry, dict):
             report(
-                path, "keys", "an entry must be an object's number and its description",
+                path, "keys", "an entry must be an object's id and its description",
                 detail=f"key {key[:40]!r}", remedy="rename or remove the entry",
             )  # fmt: skip
             continue
@@ -103,7 +102,7 @@ def _read_entry(obj_id: int, entry: Mapping[str, Any], path: Path, report: Repor
             return value
         report(
             path, name, "must be a list", detail=f"object {obj_id}: {str(value)[:60]}",
-            remedy="give a list, empty for none",
+            remedy="write a list, empty for none",
         )  # fmt: skip
         return []
 

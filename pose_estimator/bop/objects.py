@@ -1,4 +1,4 @@
-"""The objects of a BOP dataset as its errors are measured: points, diameter, symmetries."""
+"""The objects of a BOP dataset for evaluation: points, diameters, symmetries."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _FOLDERS = ("models_eval", "models")
 
 @dataclass(frozen=True, eq=False)
 class EvaluationObject:
-    """One object of a dataset, without looks.
+    """One object of a dataset, geometry only.
 
     Attributes:
-        obj_id: its number.
-        name: its name, or ``obj_000005`` where the dataset gives none.
-        points: (N, 3) the vertices of its mesh, meters; BOP's toolkit measures on them too.
+        obj_id: its id.
+        name: its name, or ``obj_000005`` where the dataset has none.
+        points: (N, 3) the vertices of its mesh, meters, as bop_toolkit uses.
         diameter: largest distance between two surface points, meters.
-        symmetries: (S, 4, 4) transforms under which it looks the same, identity first, meters.
+        symmetries: (S, 4, 4) symmetry transforms, identity first, meters.
     """
 
     obj_id: int
@@ -41,21 +41,21 @@ class EvaluationObject:
 
     @property
     def symmetric(self) -> bool:
-        """Whether ADD-S is the measure for this object."""
+        """Whether the object's error is ADD-S instead of ADD."""
         return len(self.symmetries) > 1
 
 
 def load_objects(
     spec: str | Path | Iterable[str | Path] | None = None,
 ) -> dict[str, ObjectModel]:
-    """`assets.load_objects`; meshes of a BOP dataset bring what ``models_info.json`` says of them.
+    """`assets.load_objects` that also reads ``models_info.json`` of BOP datasets.
 
-    Where that file lies beside a mesh ``obj_000005.ply``, the object's symmetries, diameter and
-    name come from there, and the mesh is in millimeters.
+    A mesh ``obj_000005.ply`` in a folder with that file is in millimeters, and its symmetries,
+    diameter and name come from the file.
 
     Raises:
-        InputError: as `assets.load_objects`, or if ``models_info.json`` is broken or of another
-            size than the mesh.
+        InputError: as `assets.load_objects`, or if ``models_info.json`` is invalid or its diameter
+            is not that of the mesh.
         FileNotFoundError: as `assets.load_objects`.
     """
     return assets.load_objects(spec, _load_object)
@@ -63,66 +63,63 @@ def load_objects(
 
 def _load_object(name_or_path: str | Path) -> ObjectModel:
     name, path = assets.split_name(name_or_path)
-    described = path.resolve().with_name("models_info.json")
-    if not (re.fullmatch(r"obj_\d+", path.stem) and path.is_file() and described.is_file()):
+    folder = path.resolve().parent
+    info_path = folder / "models_info.json"
+    if not (re.fullmatch(r"obj_\d+", path.stem) and path.is_file() and info_path.is_file()):
         return assets.load_object(name_or_path)
-    folder = described.parent
     info = read_models_info(folder.parent, folder.name).get(int(path.stem.removeprefix("obj_")))
     if info is None:
         return assets.load_object(name_or_path)
     from ...assets.mesh_import import import_mesh
 
+    name = name or info.name
     try:
         return import_mesh(
-            path,
-            name or info.name,
-            unit="mm",
-            symmetries=info.symmetries,
-            diameter=info.diameter,
+            path, name, unit="mm", symmetries=info.symmetries, diameter=info.diameter
         )
     except ValueError as error:
-        raise InputError(f"{error}; it is described in {described}") from error
+        raise InputError(f"{error}; see {info_path}") from error
 
 
 def has_models(root: str | Path) -> bool:
-    """Whether a dataset comes with models of its objects."""
+    """Returns whether a dataset has models of its objects."""
     return any((Path(root) / name).is_dir() for name in _FOLDERS)
 
 
 def dataset_objects(
     root: str | Path, obj_ids: Collection[int] | None = None, *, ignore_unknown: bool = False
 ) -> dict[int, EvaluationObject]:
-    """The objects that a dataset is measured with: those of ``models_eval``, else of ``models``.
+    """Returns a dataset's objects for evaluation: those of ``models_eval``, else of ``models``.
 
-    Diameters and symmetries come from the folder's ``models_info.json``, or from that of
+    Diameters and symmetries come from the folder's ``models_info.json``, else from that of
     ``models``.
 
     Args:
         root: the dataset's folder.
         obj_ids: which to read; None for all.
-        ignore_unknown: leave out those that the dataset does not describe.
+        ignore_unknown: skip those that ``models_info.json`` does not describe.
 
     Returns:
         obj_id -> object, ascending.
 
     Raises:
-        InputError: if there are no models, one is missing or broken, or its size is not that of
-            ``models_info.json``.
+        InputError: if there are no models, one is missing or invalid, or its diameter is not that
+            of ``models_info.json``.
     """
     root = Path(root)
     folder = next((name for name in _FOLDERS if (root / name).is_dir()), None)
     if folder is None:
         raise InputError(
-            f"{root} has neither models_eval nor models: unpack the dataset's models there"
+            f"{root} has neither models_eval nor models: extract the dataset's models there"
         )
-    described = folder if (root / folder / "models_info.json").is_file() else "models"
-    infos = read_models_info(root, described)
+    info_folder = folder if (root / folder / "models_info.json").is_file() else "models"
+    infos = read_models_info(root, info_folder)
     wanted = sorted(infos if obj_ids is None else set(obj_ids))
     if ignore_unknown:
         wanted = [obj_id for obj_id in wanted if obj_id in infos]
     if unknown := [obj_id for obj_id in wanted if obj_id not in infos]:
         raise InputError(
-            f"{root / described / 'models_info.json'} does not describe object {unknown[0]}; it "
+            f"{root / info_folder / 'models_info.json'} does not describe object {unknown[0]}; it "
             f"has {', '.join(map(str, sorted(infos)))}"
         )
     return {i: _object(infos[i], root / folder / infos[i].mesh_path.name) for i in wanted}
@@ -146,14 +143,14 @@ def _object(info: BopModelInfo, path: Path) -> EvaluationObject:
 
 
 def _read_vertices(path: Path) -> np.ndarray:
-    """The vertices (N, 3) of a PLY file, meters."""
+    """Returns the vertices (N, 3) of a PLY file, meters."""
     if not path.is_file():
         raise InputError(f"{path} is missing, but models_info.json describes that object")
     try:
-        # Textures would have vertices doubled that are one in the file.
+        # With fix_texture, trimesh duplicates vertices at texture seams.
         mesh: Any = trimesh.load(path, process=False, fix_texture=False)
         vertices = np.asarray(mesh.vertices, dtype=np.float64) / MM
-    except Exception as error:  # readers of broken files fail in every way there is
+    except Exception as error:  # mesh readers raise any type of error for invalid files
         raise InputError(f"{path} cannot be read as a mesh (truncated?): {error!r}") from error
     if vertices.ndim != 2 or len(vertices) < 4 or not np.isfinite(vertices).all():
         raise InputError(f"{path} must hold at least four vertices, all of them finite")

@@ -1,4 +1,4 @@
-"""Two-view pairs of a BOP dataset: which two images show objects that did not move between."""
+"""Two-view pairs of a BOP dataset: pairs of images between which objects did not move."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ PAIRS_FILE = "two_view_pairs.json"
 
 @dataclass(frozen=True, eq=False)
 class BopPair:
-    """Two images of one scene between which the named objects did not move.
+    """Two images of one scene between which the listed objects did not move.
 
     Attributes:
-        scene_id: number of the scene folder.
+        scene_id: the scene's id.
         ref_image_id: the reference view.
         second_image_id: the second view.
         T_second_ref: reference camera to second camera, (4, 4), meters.
-        baselines_deg: for each object that stood still, the angle in degrees between the two rays
-            from it to the cameras.
+        baselines_deg: obj_id -> angle in degrees between the two rays from a static object to the
+            cameras.
         target_obj_id: the object that the pair was made for, or None.
-        gap: frames from one to the other where both belong to one sequence, or None.
-        visib_fracts: for each object, its visible fractions in the reference view and in the
-            second, 0 to 1; empty where the file does not say.
+        gap: number of frames between the views of a sequence, or None.
+        visib_fracts: obj_id -> visible fractions in the reference and the second view, 0 to 1;
+            empty where unknown.
     """
 
     scene_id: int
@@ -44,7 +44,7 @@ class BopPair:
 
     @property
     def obj_ids(self) -> tuple[int, ...]:
-        """The objects that did not move."""
+        """Ids of the static objects."""
         return tuple(self.baselines_deg)
 
     @property
@@ -56,7 +56,7 @@ class BopPair:
 
 
 def turned_round(pair: BopPair) -> BopPair:
-    """The pair with its second view as the reference."""
+    """Returns the pair with its second view as the reference."""
     return replace(
         pair,
         ref_image_id=pair.second_image_id,
@@ -69,15 +69,14 @@ def turned_round(pair: BopPair) -> BopPair:
 def read_pairs(path: str | Path) -> tuple[BopPair, ...]:
     """Reads a list of two-view pairs.
 
-    Two forms are known: ours (a list, see ``bop_writer.write_pairs``), and one for a single scene
-    whose cameras have no world: ``{"scene_id", "pairs": [{"im_a", "im_b", "T_b_a_mm", "objects":
-    {obj_id: {"baseline_deg"}}}]}``.
+    The file holds a list (see `writer.write_pairs`) or, for a single recorded scene, ``{"scene_id",
+    "pairs": [{"im_a", "im_b", "T_b_a_mm", "objects": {obj_id: {"baseline_deg"}}}]}``.
 
     Args:
         path: the file, or a dataset's folder that holds ``two_view_pairs.json``.
 
     Raises:
-        InputError: if the file is missing or broken; the message names file and field.
+        InputError: if the file is missing or invalid; the message names file and field.
     """
     path = Path(path)
     if path.is_dir():
@@ -91,12 +90,12 @@ def read_pairs(path: str | Path) -> tuple[BopPair, ...]:
 
 
 def read_entries(path: Path, report: Report = refuse) -> dict[int, BopPair]:
-    """The entries of a list of pairs by their position; without those that name no images.
+    """Returns position -> entry of a list of pairs, without entries that lack scene or image ids.
 
-    Rotations are left as they are; a transform is NaN where it is broken.
+    Invalid transforms are NaN; rotations are not made orthonormal.
 
     Raises:
-        InputError: of ``report``, where something is broken.
+        InputError: by the default ``report``, where a field is invalid.
     """
     content = read_json(path, (list, dict), report)
     if content is None:
@@ -105,12 +104,12 @@ def read_entries(path: Path, report: Report = refuse) -> dict[int, BopPair]:
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         report(
             path, "pairs", "must be a list of pairs",
-            remedy="see bop_writer.write_pairs for the form",
+            remedy="see bop.writer.write_pairs for the format",
         )  # fmt: skip
         return {}
     places = [Place(entry=f"pair {i}") for i in range(len(entries))]
     if isinstance(content, dict):
-        entries = [{"scene_id": content.get("scene_id")} | _as_ours(entry) for entry in entries]
+        entries = [_listed(content, entry) for entry in entries]
         T = read_numbers(entries, "T_b_a_mm", 16, path, places, report).reshape(-1, 4, 4)
         T[:, :3, 3] /= MM
     else:
@@ -128,20 +127,21 @@ def read_entries(path: Path, report: Report = refuse) -> dict[int, BopPair]:
             ref_image_id=int(ids[number, 1]),
             second_image_id=int(ids[number, 2]),
             T_second_ref=T[number],
-            baselines_deg=_baselines(entry.get("baselines_deg"), path, number, report),
+            baselines_deg=_baselines(entry.get("baselines_deg"), path, places[number], report),
             target_obj_id=entry.get("target_obj_id"),
             gap=_gap(entry.get("gap"), path, places[number], report),
-            visib_fracts=_visib_fracts(entry, path, number, report),
+            visib_fracts=_visib_fracts(entry, path, places[number], report),
         )
         for number, entry in enumerate(entries)
         if not np.isnan(ids[number]).any()
     }
 
 
-def _as_ours(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """An entry of the other form with our names."""
-    ours = {"im_a": "ref_image_id", "im_b": "second_image_id"}
-    renamed = {ours.get(name, name): value for name, value in entry.items()}
+def _listed(scene: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns an entry of a recorded scene with the names of an entry of the list."""
+    names = {"im_a": "ref_image_id", "im_b": "second_image_id"}
+    renamed = {"scene_id": scene.get("scene_id")}
+    renamed |= {names.get(name, name): value for name, value in entry.items()}
     objects = entry.get("objects")
     if isinstance(objects, dict):
         renamed["baselines_deg"] = {
@@ -152,45 +152,43 @@ def _as_ours(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _gap(gap: Any, path: Path, place: Place, report: Report) -> int | None:
-    """The optional field ``gap``."""
     if gap is None or (type(gap) is int and gap >= 1):
         return gap
     report(
-        path, "gap", "must be an integer of at least 1", place=place, detail=repr(gap)[:60],
-        remedy="give the frames between, or leave it out",
+        path, "gap", "must be an integer >= 1", place=place, detail=repr(gap)[:60],
+        remedy="write the number of frames between the views, or omit the field",
     )  # fmt: skip
     return None
 
 
-def _baselines(given: Any, path: Path, number: int, report: Report) -> dict[int, float]:
+def _baselines(given: Any, path: Path, place: Place, report: Report) -> dict[int, float]:
     entries = given if isinstance(given, dict) else {}
     good = all(
         key.isdigit() and isinstance(v, int | float) and 0 <= v <= 180 for key, v in entries.items()
     )
     if not entries or not good:
         report(
-            path, "baselines_deg", "must be objects and their angles",
-            detail=f"pair {number}: {str(given)[:60]}",
-            remedy="give each object that stood still the angle in degrees between its two views",
+            path, "baselines_deg", "must map objects to angles",
+            detail=f"{place}: {str(given)[:60]}",
+            remedy="write the angle in degrees between the two views of each static object",
         )  # fmt: skip
         return {int(key): np.nan for key in entries if key.isdigit()}
     return {int(key): float(value) for key, value in entries.items()}
 
 
 def _visib_fracts(
-    entry: Mapping[str, Any], path: Path, number: int, report: Report
+    entry: Mapping[str, Any], path: Path, place: Place, report: Report
 ) -> dict[int, tuple[float, float]]:
-    """The optional field ``visib_fracts``."""
     given = entry.get("visib_fracts", {})
     if not isinstance(given, dict) or not all(key.isdigit() for key in given):
         report(
-            path, "visib_fracts", "must be objects and their visible fractions",
-            detail=f"pair {number}: {str(given)[:60]}", remedy="see bop_writer.write_pairs",
+            path, "visib_fracts", "must map objects to visible fractions",
+            detail=f"{place}: {str(given)[:60]}", remedy="see bop.writer.write_pairs",
         )  # fmt: skip
         return {}
-    place = [Place(entry=f"pair {number}, visible fractions")]
+    places = [Place(entry=f"{place}, visible fractions")]
     return {
         int(key): (float(both[0]), float(both[1]))
         for key in given
-        for both in read_numbers([given], key, 2, path, place, report)
+        for both in read_numbers([given], key, 2, path, places, report)
     }

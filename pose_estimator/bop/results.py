@@ -1,14 +1,15 @@
-"""Files of pose estimates as the BOP benchmark exchanges them, written and read.
+"""Reads and writes BOP result files.
 
 A CSV of the task "6D localization" since BOP Challenge 2019, with the columns of `HEADER`: R is
-nine numbers row by row, t three numbers in millimeters, both separated by blanks
+nine numbers in row-major order, t three numbers in millimeters, both separated by spaces
 (https://bop.felk.cvut.cz/challenges/bop-challenge-2019/#formatofresults). BOP recommends names such
-as ``METHOD_DATASET-SPLIT.csv``; nothing here depends on them.
+as ``METHOD_DATASET-SPLIT.csv``.
 """
 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,7 +25,7 @@ HEADER = "scene_id,im_id,obj_id,score,R,t,time"
 _COLUMNS = HEADER.split(",")
 
 UNKNOWN_TIME = -1.0
-"""What BOP has in the column ``time`` where nobody measured it."""
+"""BOP's value of the column ``time`` where it was not measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +33,12 @@ class BopResult:
     """One estimate: a row of the file.
 
     Attributes:
-        scene_id: number of the scene folder.
-        image_id: number of the picture in its scene.
-        obj_id: number of the object.
-        score: how sure the method is; only the order within a file means something.
-        T_cam_obj: the object in the camera, (4, 4), meters.
-        seconds: that the method took for all objects of the picture, `UNKNOWN_TIME` where nobody
-            measured it.
+        scene_id: the scene's id.
+        image_id: the image's id in its scene.
+        obj_id: the object's id.
+        score: confidence; only the order within a file is meaningful.
+        T_cam_obj: object to camera, (4, 4), meters.
+        seconds: run time for all objects of the image, or `UNKNOWN_TIME`.
     """
 
     scene_id: int
@@ -50,20 +50,20 @@ class BopResult:
 
     @property
     def target(self) -> tuple[int, int, int]:
-        """Scene, picture and object."""
+        """Ids of scene, image and object."""
         return self.scene_id, self.image_id, self.obj_id
 
 
 def write_bop_results(path: str | Path, results: Iterable[BopResult]) -> None:
-    """Writes estimates; all digits are kept, so that reading gives the same poses.
+    """Writes estimates with all digits, so that reading gives the same poses.
 
     Raises:
         InputError: if a pose is not rigid, or a score or a time is not finite.
     """
     lines = [HEADER]
     for result in results:
-        name = f"estimate of object {result.obj_id} in scene {result.scene_id}, image "
-        name += str(result.image_id)
+        scene_id, image_id, obj_id = result.target
+        name = f"estimate of object {obj_id} in scene {scene_id}, image {image_id}"
         T = check_rigid(result.T_cam_obj, f"T_cam_obj of the {name}")
         if not (math.isfinite(result.score) and math.isfinite(result.seconds)):
             raise InputError(f"score and seconds of the {name} must be finite")
@@ -78,16 +78,16 @@ def read_bop_results(
     images: Mapping[int, Collection[int]] | None = None,
     obj_ids: Collection[int] | None = None,
 ) -> tuple[BopResult, ...]:
-    """Reads a file of estimates, in its order. The header may be missing, as for BOP's toolkit.
+    """Reads a file of estimates in its order; the header is optional, as for bop_toolkit.
 
     Args:
         path: the file.
-        images: scene id -> image ids that there are; None takes any.
-        obj_ids: objects that there are; None takes any.
+        images: scene id -> valid image ids; None accepts any.
+        obj_ids: valid object ids; None accepts any.
 
     Raises:
-        InputError: if the file is none, a row is broken, a pose is not a rotation and a
-            translation, or a number is not known; the message names file and line.
+        InputError: if the file or a row is invalid, a pose is not rigid, or an id is unknown; the
+            message names file and line.
     """
     path = Path(path)
     try:
@@ -97,7 +97,7 @@ def read_bop_results(
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not a text file; estimates are a CSV: {HEADER}") from error
     if not any(line.strip() for line in lines):
-        raise InputError(f"{path} is empty; even without estimates it begins with {HEADER}")
+        raise InputError(f"{path} is empty; a file without estimates holds the header {HEADER}")
     rows, places = [], []
     for number, line in enumerate(lines, start=1):
         if not line.strip() or (number == 1 and line.replace(" ", "") == HEADER):
@@ -107,7 +107,7 @@ def read_bop_results(
         if len(cells) != len(_COLUMNS):
             raise InputError(
                 f"{path}, {place}: must have {len(_COLUMNS)} columns separated by commas "
-                f"({HEADER}), got {len(cells)}; the numbers of R and of t are separated by blanks"
+                f"({HEADER}), got {len(cells)}; the numbers of R and t are separated by spaces"
             )
         rows.append(dict(zip(_COLUMNS, cells, strict=True)))
         places.append(place)
@@ -117,7 +117,7 @@ def read_bop_results(
     T_cam_obj = read_transforms(poses, ("R", "t"), path, places)
     rigid(T_cam_obj, lambda i: f"{path}, {places[i]}: field 'R'")
     score, seconds = (
-        read_numbers(rows, name, 1, path, places, largest=math.inf)[:, 0]
+        read_numbers(rows, name, 1, path, places, max_value=math.inf)[:, 0]
         for name in ("score", "time")
     )
     results = []
@@ -131,37 +131,33 @@ def read_bop_results(
             _check_known(image_id, images[scene_id], f"{where}: im_id", f"scene {scene_id}")
         if obj_ids is not None:
             _check_known(obj_id, obj_ids, f"{where}: obj_id", "objects")
-        numbers = scene_id, image_id, obj_id
-        results.append(BopResult(*numbers, float(score[i]), T_cam_obj[i], float(seconds[i])))
+        ids = scene_id, image_id, obj_id
+        results.append(BopResult(*ids, float(score[i]), T_cam_obj[i], float(seconds[i])))
     return tuple(results)
 
 
 def surest_of_each_target(
     estimates: Iterable[tuple[BopResult, float]],
 ) -> list[BopResult]:
-    """One estimate for each scene, picture and object, of many from different second views.
+    """Selects the estimate of lowest uncertainty per scene, image and object.
 
-    BOP asks once for an object in a picture. Of several answers the surest is given, as a robot
-    that has looked from several places would; truth has no say in it. The score cannot choose: it
-    is the detector's in the reference view, which all of them share.
+    BOP expects one estimate per object and image; ours has one per second view. The scores do not
+    discriminate: they are the detector's in the reference view, which all of them share.
 
     Args:
-        estimates: each with its uncertainty (any unit, the less the surer). ``seconds`` are those
-            of the one estimate.
+        estimates: each with its uncertainty (any unit); ``seconds`` are those of the one estimate.
 
     Returns:
-        In the order in which the targets come first; the first of equally sure ones. ``seconds``
-        are summed over the objects of a picture, which is what BOP's column ``time`` means.
+        In order of the targets' first occurrence; the first of equal uncertainty. ``seconds`` are
+        summed over the objects of an image, as BOP defines the column ``time``.
     """
     best: dict[tuple[int, int, int], tuple[BopResult, float]] = {}
     for result, uncertainty in estimates:
-        held = best.get(result.target)
-        if held is None or uncertainty < held[1]:
+        if result.target not in best or uncertainty < best[result.target][1]:
             best[result.target] = result, uncertainty
-    seconds: dict[tuple[int, int], float] = {}
+    seconds: dict[tuple[int, int], float] = defaultdict(float)
     for result, _ in best.values():
-        picture = result.target[:2]
-        seconds[picture] = seconds.get(picture, 0.0) + result.seconds
+        seconds[result.target[:2]] += result.seconds
     return [replace(result, seconds=seconds[result.target[:2]]) for result, _ in best.values()]
 
 
@@ -173,7 +169,7 @@ def _integer(value: str, where: str) -> int:
     try:
         return int(value)
     except ValueError as error:
-        raise InputError(f"{where}: expected a whole number, got {value!r}") from error
+        raise InputError(f"{where}: expected an integer, got {value!r}") from error
 
 
 def _check_known(number: int, known: Collection[int], where: str, what: str) -> None:

@@ -1,8 +1,7 @@
-"""One scene of a BOP dataset as arrays: what its JSON files say and which files lie beside them.
+"""Reads one scene of a BOP dataset as arrays.
 
-Both ways to read a dataset begin here: `bop` refuses a scene at its first broken field, the linter
-reads on (see `bop_fields.Report`). Lengths are in meters; numbers that are missing or broken are
-NaN; rotations are left as they are.
+Used by `dataset`, which raises at the first invalid field, and by the linter, which continues (see
+`fields.Report`). Lengths are in meters, invalid numbers are NaN, rotations may be rounded.
 """
 
 from __future__ import annotations
@@ -17,22 +16,23 @@ import numpy as np
 from .fields import REPAIR, Place, Report, read_json, read_numbers, read_transforms, refuse
 
 UNKNOWN = -(2**31)
-"""In the place of an object's number that cannot be read."""
+"""Stands for an invalid object id."""
 
-RESTORE = "restore the file, or take its entry out of the JSON files"
+RESTORE = "restore the file, or remove its entry from the JSON files"
+RECOMPUTE_INFO = "recompute scene_gt_info.json (bop_toolkit: calc_gt_info.py)"
 
 
 @dataclass(eq=False)
 class SceneAnnotations:
-    """All annotations of a scene, row by row.
+    """All annotations of a scene.
 
     Attributes:
-        image_id: (N,) the image each belongs to.
+        image_id: (N,) the annotation's image.
         index: (N,) its position in the image's list.
-        obj_id: (N,), ``UNKNOWN`` where it is broken.
+        obj_id: (N,), ``UNKNOWN`` where invalid.
         T_cam_obj: (N, 4, 4), meters.
-        described: whether the scene has a ``scene_gt_info.json``.
-        visibility: (N,).
+        has_info: whether the scene has a ``scene_gt_info.json``.
+        visibility: (N,) visible fractions.
         bbox_visib: (N, 4) left, top, width, height.
         bbox_obj: (N, 4).
         px_count_visib: (N,).
@@ -43,7 +43,7 @@ class SceneAnnotations:
     index: np.ndarray
     obj_id: np.ndarray
     T_cam_obj: np.ndarray
-    described: bool
+    has_info: bool
     visibility: np.ndarray
     bbox_visib: np.ndarray
     bbox_obj: np.ndarray
@@ -53,18 +53,18 @@ class SceneAnnotations:
 
 @dataclass(eq=False)
 class Scene:
-    """One scene as far as it can be read.
+    """The readable part of one scene.
 
     Attributes:
-        scene_id: number of the folder.
-        folder: the folder.
+        scene_id: the scene's id.
+        folder: its folder.
         image_id: (M,) images that scene_camera.json lists, ascending.
         K: (M, 3, 3).
-        depth_scale: (M,) millimeters for each step of the depth maps.
+        depth_scale: (M,) millimeters per unit of the depth maps.
         T_cam_world: (M, 4, 4), meters.
         annotations: of all images.
-        images: number -> file, in ``rgb`` or ``gray``.
-        depths: number -> file.
+        images: image id -> file, in ``rgb`` or ``gray``.
+        depths: image id -> file.
     """
 
     scene_id: int
@@ -78,12 +78,12 @@ class Scene:
     depths: dict[int, Path]
 
     def place(self, row: int) -> Place:
-        """Where a row of the annotations stands."""
+        """Returns the location of a row of the annotations."""
         rows = self.annotations
         return Place(self.scene_id, int(rows.image_id[row]), int(rows.index[row]))
 
     def mask_path(self, row: int, kind: str = "mask_visib") -> Path:
-        """The mask of a row of the annotations, whether or not it is there."""
+        """Returns the path of the mask of a row of the annotations, which may not exist."""
         rows = self.annotations
         return self.folder / kind / f"{rows.image_id[row]:06d}_{rows.index[row]:06d}.png"
 
@@ -104,22 +104,22 @@ class Scene:
 
 
 def image_folder(scene: Path) -> Path:
-    """``rgb``, or ``gray`` of datasets of monochrome cameras such as ITODD."""
+    """Returns the folder ``rgb``, or ``gray`` of monochrome datasets such as ITODD."""
     return scene / "rgb" if (scene / "rgb").is_dir() else scene / "gray"
 
 
 def read_scene(folder: Path, scene_id: int, report: Report = refuse) -> Scene | None:
-    """Reads one scene; None where its cameras cannot be read.
+    """Reads one scene; returns None where its scene_camera.json is invalid.
 
     Raises:
-        InputError: of ``report``, where something is broken or a file is missing.
+        InputError: by the default ``report``, where a field is invalid or a file is missing.
     """
     path, gt_path = folder / "scene_camera.json", folder / "scene_gt.json"
     cameras = read_json(path, dict, report)
     poses = (read_json(gt_path, dict, report) if gt_path.exists() else None) or {}
     if cameras is None:
         return None
-    keys = _whole(cameras, path, scene_id, report)
+    keys = _image_keys(cameras, path, scene_id, report)
     image_ids = sorted(keys)
     rows = [cameras[keys[i]] for i in image_ids]
     places = [Place(scene_id, i) for i in image_ids]
@@ -132,12 +132,11 @@ def read_scene(folder: Path, scene_id: int, report: Report = refuse) -> Scene | 
         [rows[i] for i in known], names, path, [places[i] for i in known], report
     )
     rgb = image_folder(folder)
-    images = _numbered(rgb)
+    images = _images_by_id(rgb)
     for image_id in sorted(keys.keys() - images.keys()):
         report(
-            path, "image", "a picture is missing",
-            place=Place(scene_id, image_id), remedy=RESTORE,
-            detail=f"{rgb.name}/{image_id:06d}.png (or .jpg) is not there",
+            path, "image", "an image is missing", place=Place(scene_id, image_id), remedy=RESTORE,
+            detail=f"no file {rgb.name}/{image_id:06d}.png (or .jpg)",
         )  # fmt: skip
     return Scene(
         scene_id=scene_id,
@@ -148,7 +147,7 @@ def read_scene(folder: Path, scene_id: int, report: Report = refuse) -> Scene | 
         T_cam_world=T_cam_world,
         annotations=_read_annotations(folder, scene_id, poses, keys, report),
         images=images,
-        depths=_numbered(folder / "depth"),
+        depths=_images_by_id(folder / "depth"),
     )
 
 
@@ -157,7 +156,7 @@ def _read_annotations(
     report: Report,
 ) -> SceneAnnotations:  # fmt: skip
     path, info_path = folder / "scene_gt.json", folder / "scene_gt_info.json"
-    keys = _whole(poses, path, scene_id, report)
+    keys = _image_keys(poses, path, scene_id, report)
     infos = read_json(info_path, dict, report) if info_path.exists() else None
     places: list[Place] = []
     gt: list[Any] = []
@@ -169,32 +168,29 @@ def _read_annotations(
             continue
         if image_id not in cameras:
             report(
-                path, "image", "an annotated picture has no camera", place=place,
+                path, "image", "an annotated image has no camera", place=place,
                 detail="scene_camera.json does not list it",
-                cause="the JSON files are of different versions, or picture numbers were changed",
+                cause="the JSON files are of different versions, or image ids were changed",
                 remedy="add it to scene_camera.json",
             )  # fmt: skip
-        described = [None] * len(entries) if infos is None else infos.get(keys[image_id])
-        if not isinstance(described, list) or len(described) != len(entries):
-            found = f"{len(described)} entries" if isinstance(described, list) else "no list"
+        of_image = [None] * len(entries) if infos is None else infos.get(keys[image_id])
+        if not isinstance(of_image, list) or len(of_image) != len(entries):
+            found = f"{len(of_image)} entries" if isinstance(of_image, list) else "no list"
             report(
                 info_path, "image", "does not match scene_gt.json", place=place,
                 detail=f"{found} for {len(entries)} annotations",
-                cause="one of the files is of an older version of the data",
-                remedy="compute scene_gt_info.json anew (bop_toolkit: calc_gt_info.py)",
+                cause="one of the files is of an older version of the data", remedy=RECOMPUTE_INFO,
             )  # fmt: skip
-            described = [None] * len(entries)
+            of_image = [None] * len(entries)
         places += [Place(scene_id, image_id, i) for i in range(len(entries))]
         gt += entries
-        info += described
+        info += of_image
     known = [row for row, entry in enumerate(info) if entry is not None]
+    known_info, known_places = [info[row] for row in known], [places[row] for row in known]
 
-    def measured(name: str, size: int) -> np.ndarray:
+    def read_info(name: str, size: int) -> np.ndarray:
         values = np.full((len(places), size), np.nan)
-        values[known] = read_numbers(
-            [info[row] for row in known], name, size, info_path, [places[row] for row in known],
-            report,
-        )  # fmt: skip
+        values[known] = read_numbers(known_info, name, size, info_path, known_places, report)
         return values
 
     _check_masks(folder / "mask_visib", path, places, report)
@@ -204,17 +200,17 @@ def _read_annotations(
         index=np.array([place.annotation for place in places], dtype=int),
         obj_id=np.where(np.isnan(obj_id), UNKNOWN, obj_id).astype(int),
         T_cam_obj=read_transforms(gt, ("cam_R_m2c", "cam_t_m2c"), path, places, report),
-        described=infos is not None,
-        visibility=measured("visib_fract", 1)[:, 0],
-        bbox_visib=measured("bbox_visib", 4),
-        bbox_obj=measured("bbox_obj", 4),
-        px_count_visib=measured("px_count_visib", 1)[:, 0],
-        px_count_all=measured("px_count_all", 1)[:, 0],
+        has_info=infos is not None,
+        visibility=read_info("visib_fract", 1)[:, 0],
+        bbox_visib=read_info("bbox_visib", 4),
+        bbox_obj=read_info("bbox_obj", 4),
+        px_count_visib=read_info("px_count_visib", 1)[:, 0],
+        px_count_all=read_info("px_count_all", 1)[:, 0],
     )
 
 
 def _check_masks(folder: Path, path: Path, places: list[Place], report: Report) -> None:
-    """Where there are masks, each annotation must have one."""
+    """Checks that each annotation has a mask, where the scene has masks."""
     if not folder.is_dir():
         return
     names = {p.name for p in folder.iterdir()}
@@ -223,34 +219,35 @@ def _check_masks(folder: Path, path: Path, places: list[Place], report: Report) 
         if name not in names:
             report(
                 path, "mask_visib", "a mask is missing", place=place,
-                remedy="restore the file (masks are numbered by picture and annotation), or take "
-                "the annotation out of the JSON files",
-                detail=f"mask_visib/{name} is not there",
+                remedy=f"{RESTORE} (masks are named by image and annotation)",
+                detail=f"no file mask_visib/{name}",
             )  # fmt: skip
 
 
-def _whole(content: Mapping[str, Any], path: Path, scene_id: int, report: Report) -> dict[int, str]:
-    """Whole number -> key; complains of keys that are none, and of numbers that are there twice."""
-    numbers: dict[int, str] = {}
+def _image_keys(
+    content: Mapping[str, Any], path: Path, scene_id: int, report: Report
+) -> dict[int, str]:
+    """Returns image id -> key; reports keys that are not integers and duplicated ids."""
+    keys: dict[int, str] = {}
     for key in content:
         if not key.isdigit():
             report(
-                path, "keys", "a key must be a picture's number", place=Place(scene_id),
+                path, "keys", "a key must be an image's id", place=Place(scene_id),
                 detail=f"key {key[:40]!r}", remedy="rename or remove the entry",
             )  # fmt: skip
-        elif int(key) in numbers:
+        elif int(key) in keys:
             report(
-                path, "keys", "a picture is there twice", place=Place(scene_id, int(key)),
-                detail=f"keys {numbers[int(key)]!r} and {key!r}",
-                remedy="give each picture a number of its own",
+                path, "keys", "an image is duplicated", place=Place(scene_id, int(key)),
+                detail=f"keys {keys[int(key)]!r} and {key!r}",
+                remedy="give each image an id of its own",
             )  # fmt: skip
         else:
-            numbers[int(key)] = key
-    return numbers
+            keys[int(key)] = key
+    return keys
 
 
-def _numbered(folder: Path) -> dict[int, Path]:
-    """The images of a folder by their number; PNG, JPEG or TIFF."""
+def _images_by_id(folder: Path) -> dict[int, Path]:
+    """Returns image id -> PNG, JPEG or TIFF file of a folder."""
     if not folder.is_dir():
         return {}
     suffixes = (".png", ".jpg", ".jpeg", ".tif")

@@ -1,4 +1,4 @@
-"""What estimators are asked for in a BOP test split: ``test_targets_bop19.json``."""
+"""Localization targets of a BOP test split: ``test_targets_bop19.json``."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ...core.errors import InputError
-from .dataset import BopDataset, BopImage
+from .dataset import BopDataset
 from .fields import Place, read_json, read_numbers
 from .writer import write_json
 
 TARGETS_FILE = "test_targets_bop19.json"
 
 LEAST_VISIBLE = 0.1
-"""Visible fraction from which on an object has to be found."""
+"""Visible fraction from which on an object is a target."""
+
+_FIELDS = ("scene_id", "im_id", "obj_id", "inst_count")
 
 
 class BopTarget(NamedTuple):
-    """So many instances of an object are to be found in a picture."""
+    """An object to localize in an image, and its number of instances there."""
 
     scene_id: int
     image_id: int
@@ -28,40 +30,30 @@ class BopTarget(NamedTuple):
 
 
 def is_test(split: str) -> bool:
-    """Whether a split's name says that it is for testing: ``test`` or ``test_TYPE``."""
+    """Returns whether a split's name is that of a test split: ``test`` or ``test_TYPE``."""
     return split.split("_")[0] == "test"
 
 
 def write_targets(dataset: BopDataset, scene_ids: Iterable[int] | None = None) -> None:
-    """Writes the list of targets into the dataset's folder.
-
-    Each entry says how often an object is to be found in a picture: ``scene_id``, ``im_id``,
-    ``obj_id``, ``inst_count``. Only objects of which at least a tenth is visible count.
+    """Writes the targets of a test split: its objects with a visible fraction of at least 0.1.
 
     Args:
         dataset: a test split.
         scene_ids: which of its scenes; None for all.
     """
-    entries = [
-        {
-            "im_id": target.image_id,
-            "inst_count": target.instances,
-            "obj_id": target.obj_id,
-            "scene_id": target.scene_id,
-        }
-        for target in _visible_targets(dataset, scene_ids)
-    ]
+    targets = _visible_targets(dataset, scene_ids)
+    entries = [dict(sorted(zip(_FIELDS, target, strict=True))) for target in targets]
     write_json(Path(dataset.root) / TARGETS_FILE, entries)
 
 
 def read_targets(dataset: BopDataset) -> tuple[BopTarget, ...]:
-    """What is to be found in a split.
+    """Returns the targets of a split.
 
-    That is what ``test_targets_bop19.json`` lists, for a test split of a dataset that has such a
-    file; else all of which at least a tenth is visible.
+    These are the entries of ``test_targets_bop19.json`` for a test split with that file, else the
+    objects with a visible fraction of at least 0.1.
 
     Raises:
-        InputError: if the file is broken; the message names file and entry.
+        InputError: if the file is invalid; the message names file and entry.
     """
     path = dataset.root / TARGETS_FILE
     if not (is_test(dataset.split) and path.is_file()):
@@ -69,14 +61,13 @@ def read_targets(dataset: BopDataset) -> tuple[BopTarget, ...]:
     entries = read_json(path, list)
     places = [Place(entry=f"target {i}") for i in range(len(entries))]
     columns = [
-        read_numbers(entries, name, 1, path, places)[:, 0].astype(int).tolist()
-        for name in ("scene_id", "im_id", "obj_id", "inst_count")
+        read_numbers(entries, name, 1, path, places)[:, 0].astype(int).tolist() for name in _FIELDS
     ]
     targets = tuple(BopTarget(*numbers) for numbers in zip(*columns, strict=True))
     for i, target in enumerate(targets):
         if target.instances < 1:
             raise InputError(
-                f"{path}: target {i}: field 'inst_count' must be at least 1, got {target.instances}"
+                f"{path}: target {i}: field 'inst_count' must be >= 1, got {target.instances}"
             )
     return targets
 
@@ -84,15 +75,10 @@ def read_targets(dataset: BopDataset) -> tuple[BopTarget, ...]:
 def _visible_targets(
     dataset: BopDataset, scene_ids: Iterable[int] | None = None
 ) -> list[BopTarget]:
-    return [
-        BopTarget(image.scene_id, image.image_id, obj_id, count)
-        for scene_id in (dataset.scene_ids if scene_ids is None else scene_ids)
-        for image in dataset.scene(scene_id).values()
-        for obj_id, count in _visible(image)
-    ]
-
-
-def _visible(image: BopImage) -> list[tuple[int, int]]:
-    """Objects that can be seen and how many there are of each, by number."""
-    seen = Counter(a.obj_id for a in image.annotations if a.visibility >= LEAST_VISIBLE)
-    return sorted(seen.items())
+    targets = []
+    for scene_id in dataset.scene_ids if scene_ids is None else scene_ids:
+        for image_id, image in dataset.scene(scene_id).items():
+            visible = (a.obj_id for a in image.annotations if a.visibility >= LEAST_VISIBLE)
+            for obj_id, count in sorted(Counter(visible).items()):
+                targets.append(BopTarget(scene_id, image_id, obj_id, count))
+    return targets

@@ -1,7 +1,7 @@
-"""Writing BOP datasets: scenes, camera, pairs. See ``bop`` for the records and the reading.
+"""Writes BOP datasets: scenes, camera, pairs.
 
-Files appear under their final name only when they are whole: a scene folder is written under a
-temporary name and renamed, so that a killed run leaves nothing that looks finished.
+Files and scene folders are written under a temporary name and renamed, so that an interrupted run
+leaves no incomplete ones.
 """
 
 from __future__ import annotations
@@ -24,23 +24,25 @@ from .fields import MM
 from .pairs import BopPair
 
 DEPTH_SCALE = 0.1
-"""Millimeters for each step of the 16-bit depth maps that we write: up to 6.5 m."""
+"""Millimeters per unit of the 16-bit depth maps that we write: up to 6.5 m."""
+
+_BILEVEL = (cv2.IMWRITE_PNG_BILEVEL, 1, cv2.IMWRITE_PNG_COMPRESSION, 1)
+"""One bit per pixel: a tenth of the time, a quarter of the bytes; decoders return 0 and 255."""
 
 
 @dataclass(frozen=True, eq=False)
 class BopFrame:
-    """One image on its way to the disk.
+    """One image to write.
 
     Attributes:
         rgb: RGB uint8, (H, W, 3).
         K: camera matrix in pixels, (3, 3).
         T_cam_world: world to camera, (4, 4), meters, or None.
         annotations: the objects; ``mask_visib_path`` is ignored.
-        masks: bool (H, W) masks of the visible pixels in the annotations' order, or None.
-        depth: meters, float (H, W), 0 where there is none; or None.
-        image_id: its number in the scene; None takes its place among the frames.
-        silhouettes: bool (H, W) masks of the whole objects, hidden parts too, in the annotations'
-            order, or None.
+        masks: bool (H, W) masks of the visible pixels, one per annotation, or None.
+        depth: meters, float (H, W), 0 where unknown; or None.
+        image_id: its id in the scene; None for its position among the frames.
+        silhouettes: bool (H, W) amodal masks, one per annotation, or None.
         px_counts_valid: pixels of each silhouette that have depth; None for all of them.
     """
 
@@ -56,7 +58,7 @@ class BopFrame:
 
 
 def scene_folder(root: str | Path, split: str, scene_id: int) -> Path:
-    """Where a scene lives: ``root/split/000012``."""
+    """Returns the folder of a scene: ``root/split/000012``."""
     return Path(root) / split / f"{scene_id:06d}"
 
 
@@ -67,20 +69,17 @@ def write_scene(
     frames: Iterable[BopFrame],
     jpeg_quality: int | None = 92,
 ) -> Path:
-    """Writes one scene; frames that do not say their image ids get 0, 1, ... in their order.
+    """Writes one scene and returns its folder.
 
     Args:
-        root: the dataset's folder, made where missing.
+        root: the dataset's folder, created where missing.
         split: such as ``train_pbr``.
-        scene_id: its number.
-        frames: what to write.
+        scene_id: the scene's id.
+        frames: the images.
         jpeg_quality: quality of JPEG images, or None for PNG.
 
-    Returns:
-        The scene's folder.
-
     Raises:
-        InputError: if the scene exists, two frames share an image id, or a frame holds NaN, a wrong
+        InputError: if the scene exists, two frames share an image id, or a frame has NaN, a wrong
             shape, or masks that do not match its annotations.
     """
     final = scene_folder(root, split, scene_id)
@@ -94,7 +93,7 @@ def write_scene(
         image_id = place if frame.image_id is None else frame.image_id
         name = f"scene {scene_id}, image {image_id}"
         if str(image_id) in cameras:
-            raise InputError(f"{name} is there twice")
+            raise InputError(f"{name} is duplicated")
         _write_pixels(partial, image_id, frame, jpeg_quality, name)
         cameras[str(image_id)] = _camera_entry(frame, name)
         poses[str(image_id)] = [_pose_entry(a, name) for a in frame.annotations]
@@ -107,7 +106,7 @@ def write_scene(
 
 
 def write_camera(root: str | Path, K: np.ndarray, image_size: tuple[int, int]) -> None:
-    """Writes ``camera.json``: the camera that the images share; ``image_size`` is (H, W)."""
+    """Writes ``camera.json``: the images' common camera; ``image_size`` is (H, W)."""
     K = check_intrinsics(K)
     names = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
     height, width = image_size
@@ -116,13 +115,12 @@ def write_camera(root: str | Path, K: np.ndarray, image_size: tuple[int, int]) -
 
 
 def write_pairs(path: str | Path, pairs: Iterable[BopPair]) -> None:
-    """Writes two-view pairs as a JSON list, in a form like BOP's scene files.
+    """Writes two-view pairs as a JSON list.
 
-    Each entry: ``scene_id``, ``ref_image_id``, ``second_image_id``, ``target_obj_id``,
-    ``gap`` (frames between, where both are of one sequence), ``baseline_deg`` (at the target),
-    ``baselines_deg`` (obj_id -> degrees), ``visib_fracts`` (obj_id -> visible fractions in the
-    reference and in the second view, where they are known), ``cam_R_ref2second`` (9 numbers, row
-    by row), ``cam_t_ref2second`` (millimeters).
+    Each entry: ``scene_id``, ``ref_image_id``, ``second_image_id``, ``target_obj_id``, ``gap``
+    (optional), ``baseline_deg`` (at the target), ``baselines_deg`` (obj_id -> degrees),
+    ``visib_fracts`` (obj_id -> visible fractions in the reference and the second view; optional),
+    ``cam_R_ref2second`` (9 numbers, row-major), ``cam_t_ref2second`` (millimeters). See `BopPair`.
     """
     entries = []
     for pair in pairs:
@@ -144,13 +142,13 @@ def write_pairs(path: str | Path, pairs: Iterable[BopPair]) -> None:
 
 
 def _transform(T: np.ndarray, name: str) -> dict[str, list[float]]:
-    """BOP's two fields of a transform (4, 4) in meters: rotation row by row, and millimeters."""
+    """Returns BOP's two fields of a transform (4, 4): row-major rotation, and millimeters."""
     rotation, translation = T[:3, :3].ravel().tolist(), (T[:3, 3] * MM).tolist()
     return {f"cam_R_{name}": rotation, f"cam_t_{name}": translation}
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Writes JSON under a temporary name and renames it; refuses NaN.
+    """Writes compact JSON atomically.
 
     Raises:
         InputError: if a number is NaN or infinite.
@@ -168,33 +166,27 @@ def _write_pixels(
     rgb = check_image(frame.rgb, f"rgb of {name}")
     shape = rgb.shape[:2]
     suffix = "png" if jpeg_quality is None else "jpg"
-    options = [] if jpeg_quality is None else [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
-    _encode(folder / "rgb" / f"{image_id:06d}.{suffix}", rgb[..., ::-1], options)
+    options = () if jpeg_quality is None else (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality)
+    _write_image(folder / "rgb" / f"{image_id:06d}.{suffix}", rgb[..., ::-1], options)
     if frame.depth is not None:
         if frame.depth.shape != shape or not np.isfinite(frame.depth).all():
             raise InputError(f"depth of {name} must be finite and of shape {shape}")
         (folder / "depth").mkdir(exist_ok=True)
         steps = np.clip(np.round(frame.depth * (MM / DEPTH_SCALE)), 0, 65535).astype(np.uint16)
-        _encode(folder / "depth" / f"{image_id:06d}.png", steps, [])
+        _write_image(folder / "depth" / f"{image_id:06d}.png", steps)
+    count = len(frame.annotations)
     for kind, masks in (("mask_visib", frame.masks), ("mask", frame.silhouettes)):
-        if masks is not None:
-            _write_masks(folder / kind, image_id, masks, len(frame.annotations), shape, name)
-
-
-def _write_masks(
-    folder: Path, image_id: int, masks: Sequence[np.ndarray], count: int, shape: tuple[int, ...],
-    name: str,
-) -> None:  # fmt: skip
-    if len(masks) != count or any(mask.shape != shape for mask in masks):
-        raise InputError(
-            f"masks of {name} must be {count} (one an annotation) of shape {shape}, "
-            f"got {[mask.shape for mask in masks]}"
-        )
-    folder.mkdir(exist_ok=True)
-    # One bit a pixel: a tenth of the time and a quarter of the bytes. Readers see 0 and 255.
-    options = [cv2.IMWRITE_PNG_BILEVEL, 1, cv2.IMWRITE_PNG_COMPRESSION, 1]
-    for i, mask in enumerate(masks):
-        _encode(folder / f"{image_id:06d}_{i:06d}.png", mask.astype(np.uint8) * 255, options)
+        if masks is None:
+            continue
+        if len(masks) != count or any(mask.shape != shape for mask in masks):
+            raise InputError(
+                f"masks of {name} must be {count} (one per annotation) of shape {shape}, "
+                f"got {[mask.shape for mask in masks]}"
+            )
+        (folder / kind).mkdir(exist_ok=True)
+        for i, mask in enumerate(masks):
+            path = folder / kind / f"{image_id:06d}_{i:06d}.png"
+            _write_image(path, mask.astype(np.uint8) * 255, _BILEVEL)
 
 
 def _camera_entry(frame: BopFrame, name: str) -> dict[str, Any]:
@@ -216,8 +208,8 @@ def _info_entries(frame: BopFrame) -> list[dict[str, Any]]:
         valid = [annotation.px_count_all for annotation in frame.annotations]
     return [
         {
-            "bbox_obj": [int(v) for v in annotation.bbox_obj],
-            "bbox_visib": [int(v) for v in annotation.bbox_visib],
+            "bbox_obj": [*map(int, annotation.bbox_obj)],
+            "bbox_visib": [*map(int, annotation.bbox_visib)],
             "px_count_all": int(annotation.px_count_all),
             "px_count_valid": int(count),
             "px_count_visib": int(annotation.px_count_visib),
@@ -227,8 +219,17 @@ def _info_entries(frame: BopFrame) -> list[dict[str, Any]]:
     ]
 
 
-def _encode(path: Path, image: np.ndarray, options: Sequence[int]) -> None:
+def _write_image(path: Path, image: np.ndarray, options: Sequence[int] = ()) -> None:
+    path.write_bytes(encode_image(path, image, options))
+
+
+def encode_image(path: Path, image: np.ndarray, options: Sequence[int] = ()) -> bytes:
+    """Returns a BGR or gray image encoded in the format of the path's suffix.
+
+    Raises:
+        InputError: if OpenCV cannot encode it.
+    """
     done, data = cv2.imencode(path.suffix, np.ascontiguousarray(image), list(options))
     if not done:
         raise InputError(f"cannot encode {path} from {image.dtype} of shape {image.shape}")
-    path.write_bytes(data.tobytes())
+    return data.tobytes()

@@ -1,4 +1,4 @@
-"""Boxes, pixel counts and visible fractions of ``scene_gt_info.json``, and the masks themselves."""
+"""Checks boxes, pixel counts and visible fractions of ``scene_gt_info.json``, and masks."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 
 from ..bop.boxes import bounding_box
 from ..bop.fields import Place
-from ..bop.scene import Scene
+from ..bop.scene import RECOMPUTE_INFO, Scene
 from .findings import Findings, Severity
 
 SLACK = 3
-"""Pixels by which boxes may differ: some count the last column, others the distance to it."""
+"""Tolerance in pixels: some tools count the last column of a box, others do not."""
 
-ANEW = "compute scene_gt_info.json anew (bop_toolkit: calc_gt_info.py)"
 CORNERS = "it holds corners (left, top, right, bottom); BOP has left, top, width, height"
+FIX_CORNERS = "write right - left and bottom - top instead of right and bottom"
 
 
 def check_info(scene: Scene, size: tuple[int, int] | None, findings: Findings) -> None:
-    """Checks the numbers of all annotations against each other and the picture's size (H, W)."""
+    """Checks the consistency of all annotations with each other and the image size (H, W)."""
     rows = scene.annotations
-    if not rows.described:
+    if not rows.has_info:
         return
 
     def complain(
@@ -42,27 +42,27 @@ def check_info(scene: Scene, size: tuple[int, int] | None, findings: Findings) -
             percent, "error", "visib_fract", "must be 0 to 1", remedy="divide by 100",
             cause="it is in percent",
         )  # fmt: skip
-        complain(off & ~percent, "error", "visib_fract", "must be 0 to 1", remedy=ANEW)
+        complain(off & ~percent, "error", "visib_fract", "must be 0 to 1", remedy=RECOMPUTE_INFO)
         share = rows.px_count_visib / np.maximum(rows.px_count_all, 1)
         known = (rows.px_count_all > 0) & (rows.px_count_visib >= 0) & ~off
         complain(
             known & (np.abs(share - fraction) > 0.1), "warning", "visib_fract",
-            "differs from px_count_visib / px_count_all", remedy=ANEW,
+            "differs from px_count_visib / px_count_all", remedy=RECOMPUTE_INFO,
         )  # fmt: skip
         if size is not None:
             _check_box(scene, size, complain)
-        seen, whole = rows.bbox_visib, rows.bbox_obj
-        boxed = (seen[:, 2:] > 0).all(axis=1) & (whole[:, 2:] > 0).all(axis=1)
-        outside = (seen[:, :2] < whole[:, :2] - SLACK).any(axis=1)
-        ends = seen[:, :2] + seen[:, 2:] > whole[:, :2] + whole[:, 2:] + SLACK
+        visible, amodal = rows.bbox_visib, rows.bbox_obj
+        boxed = (visible[:, 2:] > 0).all(axis=1) & (amodal[:, 2:] > 0).all(axis=1)
+        outside = (visible[:, :2] < amodal[:, :2] - SLACK).any(axis=1)
+        ends = visible[:, :2] + visible[:, 2:] > amodal[:, :2] + amodal[:, 2:] + SLACK
         complain(
             boxed & (outside | ends.any(axis=1)), "warning", "bbox_obj",
-            "does not contain bbox_visib", remedy=ANEW,
+            "does not contain bbox_visib", remedy=RECOMPUTE_INFO,
         )  # fmt: skip
 
 
 def _check_box(scene: Scene, size: tuple[int, int], complain: Callable[..., None]) -> None:
-    """Visible boxes must lie in the picture."""
+    """Checks that visible boxes lie in the image."""
     height, width = size
     box = scene.annotations.bbox_visib
     left, top, right, bottom = box[:, 0], box[:, 1], box[:, 0] + box[:, 2], box[:, 1] + box[:, 3]
@@ -71,15 +71,10 @@ def _check_box(scene: Scene, size: tuple[int, int], complain: Callable[..., None
     outside &= ~nothing
     corners = (left >= -1) & (top >= -1) & (box[:, 2] > left) & (box[:, 3] > top)
     corners &= (box[:, 2] <= width + 1) & (box[:, 3] <= height + 1)
-    problem = "leaves the picture"
-    complain(
-        outside & corners, "error", "bbox_visib", problem, cause=CORNERS,
-        remedy="write right - left and bottom - top in the place of right and bottom",
-    )  # fmt: skip
-    complain(
-        outside & ~corners, "error", "bbox_visib", problem, remedy=ANEW,
-        cause="it was made for pictures of another size",
-    )  # fmt: skip
+    problem = "is not inside the image"
+    complain(outside & corners, "error", "bbox_visib", problem, cause=CORNERS, remedy=FIX_CORNERS)
+    cause = "it was computed for images of another size"
+    complain(outside & ~corners, "error", "bbox_visib", problem, cause=cause, remedy=RECOMPUTE_INFO)
 
 
 def check_mask(
@@ -91,53 +86,52 @@ def check_mask(
     place: Place,
     findings: Findings,
 ) -> bool:
-    """Compares a mask of visible pixels with the picture and with what the file says of it.
+    """Compares a visible mask with its image and with its entry of ``scene_gt_info.json``.
 
     Args:
         path: the mask's file.
         mask: bool (H, W).
-        shape: height and width of the picture.
+        shape: height and width of the image.
         info_path: ``scene_gt_info.json``.
         info: bbox_visib (4,), px_count_visib and visib_fract, NaN where unknown.
         place: of the annotation.
-        findings: are added to.
+        findings: receives the findings.
 
     Returns:
-        Whether the mask has the picture's size and is not empty.
+        Whether the mask has the image's size and is not empty.
     """
     box, count, visibility = info
     if mask.shape != shape:
         findings.error(
-            path, "size", "a mask has another size than its picture", place=place,
-            detail=f"{mask.shape[1]}x{mask.shape[0]} for a picture of {shape[1]}x{shape[0]}",
-            cause="pictures or masks were scaled or cropped alone",
-            remedy="scale both alike, and cam_K with them",
+            path, "size", "the mask's size differs from the image's", place=place,
+            detail=f"{mask.shape[1]}x{mask.shape[0]} for an image of {shape[1]}x{shape[0]}",
+            cause="only images or only masks were scaled or cropped",
+            remedy="scale images, masks and cam_K together",
         )  # fmt: skip
         return False
     pixels = int(mask.sum())
     if not pixels:
         if visibility > 0.1:
             findings.error(
-                path, "pixels", "a mask is empty", place=place, remedy="render the masks anew",
-                detail=f"visib_fract says that {100 * visibility:.0f} % of the object are visible",
+                path, "pixels", "the mask is empty", place=place, remedy="render the masks again",
+                detail=f"visib_fract is {visibility:.2f}",
             )  # fmt: skip
         return False
     found = np.array(bounding_box(mask))
     ends = np.concatenate([found[:2], found[:2] + found[2:]])
-    said = np.concatenate([box[:2], box[:2] + box[2:]])
-    if np.abs(said - ends).max() > max(SLACK, 0.03 * max(found[2:])):
-        corners = np.abs(box - ends).max() <= SLACK
+    given = np.concatenate([box[:2], box[:2] + box[2:]])
+    if np.abs(given - ends).max() > max(SLACK, 0.03 * max(found[2:])):
+        cause, remedy = "masks and boxes are of different versions or scales", RECOMPUTE_INFO
+        if np.abs(box - ends).max() <= SLACK:
+            cause, remedy = CORNERS, FIX_CORNERS
         findings.error(
             info_path, "bbox_visib", "does not match the mask", place=place,
             detail=f"{box.astype(int).tolist()}, the mask's box is {found.tolist()}",
-            cause=CORNERS if corners else "masks and boxes are of different versions, or were "
-            "scaled alone",
-            remedy="write right - left and bottom - top in the place of right and bottom"
-            if corners else ANEW,
+            cause=cause, remedy=remedy,
         )  # fmt: skip
     elif abs(count - pixels) > 0.1 * pixels + 20:
         findings.warning(
             info_path, "px_count_visib", "does not match the mask", place=place,
-            detail=f"{count:.0f}, the mask has {pixels} pixels", remedy=ANEW,
+            detail=f"{count:.0f}, the mask has {pixels} pixels", remedy=RECOMPUTE_INFO,
         )  # fmt: skip
     return True

@@ -1,4 +1,4 @@
-"""Are the cameras those of the pictures: camera matrices, picture sizes, ``camera.json``."""
+"""Checks camera matrices, world poses, image sizes and ``camera.json``."""
 
 from __future__ import annotations
 
@@ -12,22 +12,15 @@ from ..bop.scene import Scene
 from .findings import Finding, Findings, Severity
 
 MIDDLE = (0.25, 0.75)
-"""Where, in shares of the picture's sides, a principal point is not worth a question."""
-
+"""Range of a plausible principal point, as fractions of the image's sides."""
 
 WRITE_K = "write fx, 0, cx, 0, fy, cy, 0, 0, 1"
 
 
 def check_cameras(scene: Scene, size: tuple[int, int] | None, findings: Findings) -> None:
-    """Checks all camera matrices of a scene.
-
-    Args:
-        scene: whose cameras.
-        size: height and width of its pictures; None where none could be read.
-        findings: are added to.
-    """
+    """Checks the cameras of a scene with images of ``size`` (H, W), None if unknown."""
     for image_id, K in zip(scene.image_id.tolist(), scene.K, strict=True):
-        if not np.isnan(K).any() and (found := _complaint(K, size)) is not None:
+        if not np.isnan(K).any() and (found := _check_matrix(K, size)) is not None:
             severity, problem, cause, remedy, detail = found
             place = Place(scene.scene_id, image_id)
             findings.add(
@@ -37,60 +30,60 @@ def check_cameras(scene: Scene, size: tuple[int, int] | None, findings: Findings
         findings.error(
             scene.camera_path, "cam_R_w2c", "is not a rotation",
             place=Place(scene.scene_id, int(scene.image_id[i])),
-            remedy="give an orthonormal matrix of determinant +1, row by row",
+            remedy="write an orthonormal matrix of determinant +1, row-major",
         )  # fmt: skip
     for i in np.flatnonzero(scene.depth_scale <= 0).tolist():
         findings.error(
             scene.camera_path, "depth_scale", "must be positive",
             place=Place(scene.scene_id, int(scene.image_id[i])),
             detail=f"{scene.depth_scale[i]:g}",
-            remedy="give the millimeters that one step of the depth map means",
+            remedy="write the millimeters per unit of the depth map",
         )  # fmt: skip
 
 
 def rigid_or_nan(T: np.ndarray) -> np.ndarray:
-    """Which transforms (N, 4, 4) are rigid, as far as recorded data is, or unknown: bool (N,)."""
+    """Returns which transforms (N, 4, 4) are rigid within tolerance, or NaN: bool (N,)."""
     known = ~np.isnan(T).any(axis=(1, 2))
     T = np.where(known[:, None, None], T, np.eye(4))
-    whole = np.abs(T[:, 3] - (0, 0, 0, 1)).max(axis=1) < 1e-3
-    return (rotation_errors(T[:, :3, :3]) <= ROTATION_TOLERANCE) & whole
+    affine = np.abs(T[:, 3] - (0, 0, 0, 1)).max(axis=1) < 1e-3
+    return (rotation_errors(T[:, :3, :3]) <= ROTATION_TOLERANCE) & affine
 
 
-def _complaint(
+def _check_matrix(
     K: np.ndarray, size: tuple[int, int] | None
 ) -> tuple[Severity, str, str, str, str] | None:
-    """Severity, problem, cause, remedy and detail of a camera matrix, or None."""
+    """Returns severity, problem, cause, remedy and detail of an invalid camera matrix, or None."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     written = f"fx {fx:.6g}, fy {fy:.6g}, cx {cx:.6g}, cy {cy:.6g}"
     try:
         check_intrinsics(K)
     except ValueError:
-        turned = np.allclose(K[:2, 2], 0) and (K[2, :2] > 0).all()
-        cause = "it is transposed: MATLAB keeps it column by column" if turned else ""
-        return "error", "is no camera matrix", cause, WRITE_K, f"{K.round(2).tolist()}"
+        transposed = np.allclose(K[:2, 2], 0) and (K[2, :2] > 0).all()
+        cause = "it is transposed: MATLAB is column-major" if transposed else ""
+        return "error", "is not a valid camera matrix", cause, WRITE_K, f"{K.round(2).tolist()}"
     if size is None:
         return None
     height, width = size
-    pixels = f"{written} for pictures of {width}x{height}"
+    pixels = f"{written} for images of {width}x{height}"
     share = np.array([cx / width, cy / height])
     if not (share >= 0).all() or not (share <= 1 - 1e-9).all():
-        problem = "the principal point is outside of the picture"
+        problem = "the principal point is outside the image"
         return "error", problem, *_explain(K, size), pixels
     if max(fx, fy) < 0.1 * width:
-        remedy = "give focal lengths in pixels"
-        cause = "they are in millimeters or in shares of the picture's width"
+        remedy = "write focal lengths in pixels"
+        cause = "they are in millimeters or fractions of the image's width"
         return "error", "the focal lengths are too short", cause, remedy, pixels
     if not 0.8 < fx / fy < 1.25:
-        cause = "the picture was stretched, or the numbers stand in another order"
-        return "warning", "fx and fy are far from each other", cause, WRITE_K, pixels
+        cause = "the image was stretched, or the numbers are in another order"
+        return "warning", "fx and fy differ by more than 25 %", cause, WRITE_K, pixels
     if not (MIDDLE[0] <= share).all() or not (share <= MIDDLE[1]).all():
-        problem = "the principal point is far from the middle of the picture"
+        problem = "the principal point is far from the image center"
         return "warning", problem, *_explain(K, size), pixels
     return None
 
 
 def _explain(K: np.ndarray, size: tuple[int, int]) -> tuple[str, str]:
-    """What probably put the principal point where it is, and what to do."""
+    """Returns the probable cause of an implausible principal point, and the remedy."""
     height, width = size
     fx, fy = K[0, 0], K[1, 1]
     share = np.array([K[0, 2] / width, K[1, 2] / height])
@@ -100,18 +93,17 @@ def _explain(K: np.ndarray, size: tuple[int, int]) -> tuple[str, str]:
     scale = 2 * share.mean()
     if (share > 0).all() and abs(share[0] / share[1] - 1) < 0.3 and not 0.7 < scale < 1.4:
         return (
-            f"it is the matrix of pictures {scale:.2g} times as large",
-            f"divide fx, fy, cx and cy by {scale:.2g}, or keep the pictures at the size of the "
-            "calibration",
+            f"it is the matrix of images {scale:.2g} times as large",
+            f"divide fx, fy, cx and cy by {scale:.2g}, or use images of the calibrated size",
         )
     return (
-        "another camera's matrix, numbers in another order, or pictures that were cropped",
-        "calibrate anew; after a crop subtract its corner from cx and cy",
+        "another camera's matrix, numbers in another order, or cropped images",
+        "calibrate again; after a crop subtract its corner from cx and cy",
     )
 
 
 def read_camera_size(root: Path, findings: Findings) -> tuple[int, int] | None:
-    """Height and width that ``camera.json`` says; None where there is none."""
+    """Returns height and width of ``camera.json``; None where it is missing or invalid."""
     path = root / "camera.json"
     content = read_json(path, dict, findings.error) if path.is_file() else None
     if content is None:
@@ -124,17 +116,17 @@ def read_camera_size(root: Path, findings: Findings) -> tuple[int, int] | None:
 
 
 def check_size(
-    picture: Path,
+    image_path: Path,
     size: tuple[int, int],
     expected: tuple[int, int] | None,
     place: Place,
     findings: Findings,
 ) -> None:
-    """Compares one picture's size (H, W) with ``camera.json``."""
+    """Compares one image's size (H, W) with ``camera.json``."""
     if expected is not None and size != expected:
         findings.warning(
-            picture, "size", "pictures differ from camera.json", place=place,
-            detail=f"{size[1]}x{size[0]}, camera.json says {expected[1]}x{expected[0]}",
-            cause="the pictures were scaled or cropped, and the camera was not",
-            remedy="scale cam_K as the pictures were scaled, and correct camera.json",
+            image_path, "size", "the image size differs from camera.json", place=place,
+            detail=f"{size[1]}x{size[0]}, camera.json has {expected[1]}x{expected[0]}",
+            cause="the images were scaled or cropped without the camera",
+            remedy="scale cam_K like the images, and correct camera.json",
         )  # fmt: skip

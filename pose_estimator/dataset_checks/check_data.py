@@ -27,8 +27,8 @@ def check_data(config: CheckDataConfig) -> int:
     console.print(f"{root}: {summary}", soft_wrap=True)
     console.print(f"{counted(errors, 'error')}, {counted(warnings, 'warning')}")
     if config.out is not None:
-        for path in draw_overlays(wrong, config.out, config.pictures):
-            console.print(f"picture: {path}", soft_wrap=True)
+        for path in draw_overlays(wrong, config.out, config.overlays):
+            console.print(f"overlay: {path}", soft_wrap=True)
     if config.json is not None:
         records = [
             {"metric": "errors", "value": errors, "unit": "1"},

@@ -1,4 +1,4 @@
-"""All checks of a dataset: its models and pairs, then scene after scene."""
+"""Runs all checks of a dataset: models, pairs, then each scene."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .cameras import check_cameras, read_camera_size
 from .config import CheckDataConfig
 from .files import check_files
 from .findings import Findings
-from .images import PictureCheck
+from .images import ImageCheck
 from .meshes import read_models
 from .models import check_models
 from .pairs import check_pairs, check_world
@@ -29,11 +29,11 @@ T = TypeVar("T")
 
 
 def find_mistakes(config: CheckDataConfig, root: Path) -> tuple[Findings, list[Projection], str]:
-    """All findings, the wrong projections, and what was looked at in words."""
+    """Returns all findings, the wrong projections, and a summary of what was checked."""
     findings = Findings()
     models = read_models(root, findings)
     check_models(models.values(), findings)
-    check = PictureCheck(models, read_camera_size(root, findings), findings)
+    check = ImageCheck(models, read_camera_size(root, findings), findings)
     pairs = _read_pairs(root / PAIRS_FILE, findings)
     folders = _scene_folders(config, root, findings)
     read = _check_scenes(config, folders, check, root / PAIRS_FILE, pairs)
@@ -41,31 +41,31 @@ def find_mistakes(config: CheckDataConfig, root: Path) -> tuple[Findings, list[P
     report(wrong, findings)
     check.depth.report(findings)
     summary = (
-        f"{counted(len(models), 'object')}, {counted(read, 'scene')}; looked at "
-        f"{counted(check.looked, 'picture')}, compared {counted(check.projected, 'projection')}"
+        f"{counted(len(models), 'object')}, {counted(read, 'scene')}; checked "
+        f"{counted(check.checked, 'image')}, compared {counted(check.projected, 'projection')}"
     )
-    if check.set_aside:
+    if check.skipped:
         summary += (
-            f"\nCamera poses and pairs of {counted(check.set_aside, 'scene')} were not compared "
-            "with the objects, most of whose poses are wrong: correct these first, and check again"
+            f"\nCamera poses and pairs of {counted(check.skipped, 'scene')} were not checked: "
+            "most object poses are wrong. Correct these first, and check again"
         )
     return findings, wrong, summary
 
 
 def counted(number: int, noun: str) -> str:
-    """Such as "1 scene" and "2 scenes"."""
+    """Returns number and noun, such as "1 scene" and "2 scenes"."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _read_pairs(path: Path, findings: Findings) -> dict[int, BopPair]:
-    """The pairs of the dataset by their position in its list, where it has one."""
+    """Returns position -> pair of the dataset's list of pairs, where it has one."""
     if not path.is_file():
         return {}
     before = findings.count()
     pairs = read_entries(path, findings.error)
     if not pairs and findings.count() == before:
         findings.warning(
-            path, "pairs", "there are none", remedy="remove the file: pairs are then found"
+            path, "pairs", "is empty", remedy="remove the file: pairs are then computed"
         )  # fmt: skip
     return pairs
 
@@ -73,7 +73,7 @@ def _read_pairs(path: Path, findings: Findings) -> dict[int, BopPair]:
 def _scene_folders(
     config: CheckDataConfig, root: Path, findings: Findings
 ) -> dict[str, list[Path]]:
-    """The scenes' folders of each split."""
+    """Returns split -> folders of its scenes."""
     names = [config.split] if config.split is not None else sorted(
         folder.name
         for folder in root.iterdir()
@@ -91,18 +91,18 @@ def _scene_folders(
         findings.error(
             root, "folder", "the dataset has no scenes",
             detail="no folder such as test/000001",
-            cause="this is the folder above or below the dataset's",
-            remedy="give the folder that holds models and test",
+            cause="this is a parent or a subfolder of the dataset's folder",
+            remedy="pass the folder with models and test",
         )  # fmt: skip
     return found
 
 
 def _check_scenes(
-    config: CheckDataConfig, folders: dict[str, list[Path]], check: PictureCheck,
+    config: CheckDataConfig, folders: dict[str, list[Path]], check: ImageCheck,
     pairs_path: Path, pairs: Mapping[int, BopPair],
 ) -> int:  # fmt: skip
-    """Reads scene after scene; returns how many could be read."""
-    # Each scene with its share of the images to look at: 0 = all, -1 = none.
+    """Checks all scenes; returns the number of readable ones."""
+    # Each scene with its number of images to check: 0 = all, -1 = none.
     work: list[tuple[Path, int]] = []
     for scenes in folders.values():
         looked = set(_spread(scenes, config.images))
@@ -110,24 +110,24 @@ def _check_scenes(
         work += [(folder, share if folder in looked else -1) for folder in scenes]
     read = 0
     paired = _split_of_pairs(pairs_path, pairs, check.findings)
-    with tqdm(total=sum(_expected(*job) for job in work), desc="checking", unit="picture") as bar:
+    with tqdm(total=sum(_expected(*job) for job in work), desc="checking", unit="image") as bar:
         for number, (folder, share) in enumerate(work, start=1):
             bar.set_postfix_str(f"scene {number} of {len(work)}")
             scene = read_scene(folder, int(folder.name), check.findings.error)
             if scene is None:
                 continue
             read += 1
-            believed = _check_scene(scene, share, check, bar)
-            if believed is not None:
-                check_world(scene, believed, check.findings)
+            reliable = _check_scene(scene, share, check, bar)
+            if reliable is not None:
+                check_world(scene, reliable, check.findings)
                 if folder.parent == paired:
-                    ours = {n: p for n, p in pairs.items() if p.scene_id == scene.scene_id}
-                    check_pairs(pairs_path, ours, scene, check.models, believed, check.findings)
+                    own = {n: p for n, p in pairs.items() if p.scene_id == scene.scene_id}
+                    check_pairs(pairs_path, own, scene, check.models, reliable, check.findings)
     return read
 
 
 def _split_of_pairs(path: Path, pairs: Mapping[int, BopPair], findings: Findings) -> Path | None:
-    """The split whose scenes the pairs name; `test` where there are several."""
+    """Returns the split whose scenes the pairs name; `test` where there are several."""
     splits = sorted(
         {p.parent for p in path.parent.glob("*/*") if p.is_dir() and p.name.isdigit()},
         key=lambda split: (split.name != "test", split.name),
@@ -140,7 +140,7 @@ def _split_of_pairs(path: Path, pairs: Mapping[int, BopPair], findings: Findings
     for number, pair in pairs.items():
         if pair.scene_id not in there[best]:
             findings.error(
-                path, "scene_id", "a pair names a scene that is not there",
+                path, "scene_id", "the pair's scene does not exist",
                 detail=f"pair {number}: {best.name} has no scene {pair.scene_id}",
                 remedy="remove the pair, or restore the scene",
             )  # fmt: skip
@@ -148,40 +148,39 @@ def _split_of_pairs(path: Path, pairs: Mapping[int, BopPair], findings: Findings
 
 
 def _expected(folder: Path, share: int) -> int:
-    """How many images of a scene will be looked at, for the progress bar."""
+    """Returns the number of images of a scene to check, for the progress bar."""
     if share < 0:
         return 0
     count = sum(len(list((folder / name).glob("*"))) for name in ("rgb", "gray"))
     return min(count, share) if share else count
 
 
-def _check_scene(scene: Scene, share: int, check: PictureCheck, bar: tqdm) -> np.ndarray | None:
+def _check_scene(scene: Scene, share: int, check: ImageCheck, bar: tqdm) -> np.ndarray | None:
     """Checks files, numbers and a sample of images.
 
     Returns:
-        Which annotations can be believed, bool (N,); None where so many are wrong that they say
-        nothing of cameras.
+        Which annotations are reliable, bool (N,); None where most projections are wrong.
     """
     findings = check.findings
     check_files(scene, findings)
-    whole, believed = check_poses(scene, check.models, findings)
+    valid, reliable = check_poses(scene, check.models, findings)
     size = _size(scene)
     check_cameras(scene, size, findings)
     check_info(scene, size, findings)
     images = [i for i in scene.image_id.tolist() if i in scene.images]
     wrong = compared = 0
     for image_id in _spread(images, share) if share >= 0 else []:
-        bad, all_of_them = check.look(scene, image_id, whole)
-        wrong, compared = wrong + bad, compared + all_of_them
+        counts = check.check(scene, image_id, valid)
+        wrong, compared = wrong + counts[0], compared + counts[1]
         bar.update()
     if 2 * wrong > compared:
-        check.set_aside += 1
+        check.skipped += 1
         return None
-    return believed
+    return reliable
 
 
 def _size(scene: Scene) -> tuple[int, int] | None:
-    """Height and width of the first image that opens."""
+    """Returns height and width of the first readable image."""
     for path in list(scene.images.values())[:20]:
         try:
             return read_image_size(path)
@@ -190,8 +189,8 @@ def _size(scene: Scene) -> tuple[int, int] | None:
     return None
 
 
-def _spread(items: list[T], most: int) -> list[T]:
-    """At most ``most`` of the items, evenly spread; 0 = all."""
-    if not 0 < most < len(items):
+def _spread(items: list[T], count: int) -> list[T]:
+    """Returns at most ``count`` of the items, evenly spread; 0 = all."""
+    if not 0 < count < len(items):
         return items
-    return [items[i * len(items) // most] for i in range(most)]
+    return [items[i * len(items) // count] for i in range(count)]

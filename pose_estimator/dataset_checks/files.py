@@ -1,4 +1,4 @@
-"""Are there files of a scene that nothing speaks of, or too many, or depth maps too few."""
+"""Checks for unlisted and duplicated images and missing depth maps of a scene."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ def check_files(scene: Scene, findings: Findings) -> None:
     images = set(scene.image_id.tolist())
     for image_id in sorted(scene.images.keys() - images):
         findings.warning(
-            scene.images[image_id], "file", "a picture has no camera",
+            scene.images[image_id], "file", "an image has no camera",
             place=Place(scene.scene_id, image_id), remedy="add it to scene_camera.json",
-            detail="scene_camera.json does not list it, so nothing reads it",
+            detail="scene_camera.json does not list it, so it is ignored",
         )  # fmt: skip
     for image_id in sorted(images - scene.depths.keys()) if scene.depths else []:
         findings.warning(
             scene.camera_path, "depth", "a depth map is missing", remedy=RESTORE,
             place=Place(scene.scene_id, image_id),
-            detail=f"depth/{image_id:06d}.png is not there, others are",
+            detail=f"no file depth/{image_id:06d}.png",
         )  # fmt: skip
-    # Two files with one number: which one is read depends on the folder's order.
+    # Of two files with one id, the order of the folder decides which is read.
     folder = image_folder(scene.folder)
     seen: dict[int, str] = {}
     names = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
@@ -34,8 +34,8 @@ def check_files(scene: Scene, findings: Findings) -> None:
         number = int(Path(name).stem)
         if number in seen:
             findings.error(
-                folder / name, "file", "two pictures have one number",
+                folder / name, "file", "two images have the same id",
                 place=Place(scene.scene_id, number), detail=f"{seen[number]} and {name}",
-                cause="pictures were converted and the old ones left", remedy="remove one of them",
+                cause="images were converted and the old ones kept", remedy="remove one of them",
             )  # fmt: skip
         seen[number] = name

@@ -1,4 +1,4 @@
-"""What is wrong with a dataset: single findings, grouped so that equal ones are one line."""
+"""Findings of the dataset checks, grouped by problem and cause."""
 
 from __future__ import annotations
 
@@ -11,26 +11,25 @@ from ..bop.fields import Place
 
 Severity = Literal["error", "warning"]
 
-KEPT = 100
-"""So many findings of a group are kept in full; the others are counted."""
+MAX_KEPT = 100
+"""Findings of a group to store; further ones are only counted."""
 
-_PICTURES = (".png", ".jpg", ".jpeg", ".tif")
+_DATA_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".ply")
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong in one place.
+    """One problem in one place.
 
     Attributes:
-        severity: ``error`` where the data cannot be used as it is, ``warning`` where it may be
-            meant.
-        file: the file that holds it.
-        field: the field of the file, or the part of it, such as ``pixels``.
-        problem: what it is, in words that are the same wherever it occurs.
-        cause: what is probably behind it.
+        severity: ``error`` if the data is unusable, ``warning`` if it may be intended.
+        file: the file.
+        field: the field of the file, or a part of it such as ``pixels``.
+        problem: the problem, in the same words wherever it occurs.
+        cause: the probable cause.
         remedy: what to do.
-        place: scene, picture and annotation.
-        detail: what it is here, with its numbers.
+        place: scene, image and annotation.
+        detail: the values here.
     """
 
     severity: Severity
@@ -44,15 +43,13 @@ class Finding:
 
     @property
     def kind(self) -> str:
-        """The file's name; for pictures and meshes the pattern that theirs follow."""
-        if self.file.suffix.lower() in _PICTURES:
+        """The file's name; for images and meshes a pattern such as ``rgb/*.png``."""
+        if self.file.suffix.lower() in _DATA_SUFFIXES:
             return f"{self.file.parent.name}/*{self.file.suffix}"
-        if self.file.suffix == ".ply":
-            return f"{self.file.parent.name}/*.ply"
         return self.file.name
 
     def example(self, root: Path) -> str:
-        """Where below ``root`` it is and what it is there, in one line."""
+        """Returns the path relative to ``root``, the place and the detail in one line."""
         file = self.file.relative_to(root) if self.file.is_relative_to(root) else self.file
         within = "" if self.kind != self.file.name else str(replace(self.place, scene=None))
         where = f"{file}, {within}" if within else str(file)
@@ -61,24 +58,19 @@ class Finding:
 
 @dataclass
 class Group:
-    """Equal findings.
-
-    Attributes:
-        count: how many there are.
-        kept: the first ``KEPT`` of them.
-    """
+    """Findings of the same problem: their number, and the first ``MAX_KEPT`` of them."""
 
     count: int = 0
     kept: list[Finding] = field(default_factory=list)
 
     @property
     def first(self) -> Finding:
-        """What is the same for all: severity, kind of file, field, problem, cause, remedy."""
+        """The first finding; all share its severity, kind of file, field, problem and cause."""
         return self.kept[0]
 
 
 class Findings:
-    """Collects findings; 10 000 equal ones cost no more than 100."""
+    """Collects findings in groups."""
 
     def __init__(self) -> None:
         self._groups: dict[tuple[str, ...], Group] = {}
@@ -88,7 +80,7 @@ class Findings:
         key = (finding.severity, finding.kind, finding.field, finding.problem, finding.cause)
         group = self._groups.setdefault(key, Group())
         group.count += 1
-        if len(group.kept) < KEPT:
+        if len(group.kept) < MAX_KEPT:
             group.kept.append(finding)
 
     def error(self, file: Path, field: str, problem: str, **more: Any) -> None:
@@ -100,7 +92,7 @@ class Findings:
         self.add(Finding("warning", file, field, problem, **more))
 
     def groups(self) -> list[Group]:
-        """Errors before warnings, in each the order in which they were found."""
+        """Returns the groups, errors before warnings, each in order of detection."""
         return sorted(self._groups.values(), key=lambda group: group.first.severity != "error")
 
     def __iter__(self) -> Iterator[Finding]:
@@ -108,11 +100,11 @@ class Findings:
             yield from group.kept
 
     def count(self, severity: Severity | None = None) -> int:
-        """How many findings there are, of one severity or in all."""
+        """Returns the number of findings, of one severity or in total."""
         return sum(g.count for g in self.groups() if severity in (None, g.first.severity))
 
     def records(self) -> list[dict[str, Any]]:
-        """Records of a results file: each group with its count and its first example."""
+        """Returns records of a results file: each group's count and first finding."""
         records = []
         for group in self.groups():
             first, count = group.first, {"metric": "findings", "value": group.count, "unit": "1"}

@@ -1,4 +1,4 @@
-"""Looks at a sample of a scene's pictures: what the files hold, and whether poses agree with it."""
+"""Checks a sample of a scene's images, masks and depth maps, and that poses agree with them."""
 
 from __future__ import annotations
 
@@ -23,19 +23,18 @@ from .projection_score import Evidence
 
 
 @dataclass
-class PictureCheck:
-    """Looks at pictures, one after the other, and keeps what is to be explained in the end.
+class ImageCheck:
+    """Checks images and accumulates wrong projections, which `projection.explain` explains.
 
     Attributes:
-        models: by number.
-        camera_size: height and width that camera.json says, or None.
-        findings: are added to.
-        depth: what the depth maps said.
-        suspects: projections that are not good.
-        looked: how many pictures were looked at.
-        projected: how many projections were compared.
-        set_aside: how many scenes have so many wrong projections that nothing is compared with
-            their poses.
+        models: obj_id -> model.
+        camera_size: height and width of camera.json, or None.
+        findings: receives the findings.
+        depth: the comparison of the depth maps.
+        suspects: projections with a low score.
+        checked: number of images checked.
+        projected: number of projections compared.
+        skipped: number of scenes with mostly wrong poses, whose cameras and pairs are not checked.
     """
 
     models: Mapping[int, CheckedModel]
@@ -43,28 +42,23 @@ class PictureCheck:
     findings: Findings
     depth: DepthCheck = field(default_factory=DepthCheck)
     suspects: list[Projection] = field(default_factory=list)
-    looked: int = 0
+    checked: int = 0
     projected: int = 0
-    set_aside: int = 0
+    skipped: int = 0
 
-    def look(self, scene: Scene, image_id: int, whole: np.ndarray) -> tuple[int, int]:
-        """Looks at one picture.
-
-        Args:
-            scene: its scene.
-            image_id: its number.
-            whole: bool (N,), which annotations of the scene have a pose.
+    def check(self, scene: Scene, image_id: int, valid: np.ndarray) -> tuple[int, int]:
+        """Checks one image; ``valid``, bool (N,), are the scene's annotations with a valid pose.
 
         Returns:
-            How many projections were wrong, and how many were compared.
+            Number of wrong projections, and number of projections compared.
         """
-        picture, place = scene.images[image_id], Place(scene.scene_id, image_id)
-        rgb = self._open(picture, "RGB", place)
+        image_path, place = scene.images[image_id], Place(scene.scene_id, image_id)
+        rgb = self._open(image_path, "RGB", place)
         if rgb is None:
             return 0, 0
-        self.looked += 1
+        self.checked += 1
         shape = (rgb.shape[0], rgb.shape[1])
-        check_size(picture, shape, self.camera_size, place, self.findings)
+        check_size(image_path, shape, self.camera_size, place, self.findings)
         depth = self._depth(scene, image_id, shape, place)
         K = scene.K[scene.image_id == image_id][0]
         try:
@@ -73,7 +67,7 @@ class PictureCheck:
             return 0, 0
         wrong = compared = 0
         for row in np.flatnonzero(scene.annotations.image_id == image_id).tolist():
-            score = self._annotation(scene, row, picture, shape, K, depth, bool(whole[row]))
+            score = self._annotation(scene, row, shape, K, depth, bool(valid[row]))
             wrong += score is not None and score < FAIR
             compared += score is not None
         self.projected += compared
@@ -83,11 +77,10 @@ class PictureCheck:
         self,
         scene: Scene,
         row: int,
-        picture: Path,
         shape: tuple[int, int],
         K: np.ndarray,
         depth: np.ndarray | None,
-        whole: bool,
+        valid: bool,
     ) -> float | None:
         """Checks one annotation's mask, projection and depth; returns the projection's score."""
         rows = scene.annotations
@@ -104,7 +97,7 @@ class PictureCheck:
                 return None
         model = self.models.get(int(rows.obj_id[row]))
         evidence = _evidence(scene, row, shape, mask)
-        if not whole or model is None or not len(model.vertices) or evidence is None:
+        if not valid or model is None or not len(model.vertices) or evidence is None:
             return None
         T = rigid(rows.T_cam_obj[row : row + 1].copy())[0]
         projection = Projection(
@@ -112,24 +105,24 @@ class PictureCheck:
             gt_path=scene.gt_path,
             camera_path=scene.camera_path,
             mask_path=path if mask is not None else None,
-            picture=picture,
+            image_path=scene.images[int(rows.image_id[row])],
             model=model,
             T_cam_obj=T,
             K=K,
             evidence=evidence,
         )
-        score = projection.look()
+        score = projection.evaluate()
         if score < GOOD:
             self.suspects.append(projection)
         if score >= FAIR and depth is not None and mask is not None:
             depth_path = scene.depths[int(rows.image_id[row])]
-            self.depth.add(scene.camera_path, depth_path, place, depth, mask, model, T)
+            self.depth.add(projection, depth_path, depth, mask)
         return score
 
     def _depth(
         self, scene: Scene, image_id: int, shape: tuple[int, int], place: Place
     ) -> np.ndarray | None:
-        """The depth map in meters, or None."""
+        """Returns the depth map in meters, or None."""
         path = scene.depths.get(image_id)
         if path is None:
             return None
@@ -138,15 +131,15 @@ class PictureCheck:
             return None
         if steps.ndim != 2 or steps.dtype.itemsize < 2:
             self.findings.error(
-                path, "pixels", "a depth map is no map of 16 bits", place=place,
+                path, "pixels", "the depth map is not 16-bit single-channel", place=place,
                 detail=f"{steps.dtype} of shape {steps.shape}",
-                cause="it was saved as a picture for people to look at",
+                cause="it was saved as a visualization",
                 remedy="write depth as one channel of 16 bits",
             )  # fmt: skip
             return None
         if steps.shape != shape:
             self.findings.error(
-                path, "size", "a depth map has another size than its picture", place=place,
+                path, "size", "the depth map's size differs from the image's", place=place,
                 detail=f"{steps.shape[1]}x{steps.shape[0]} for {shape[1]}x{shape[0]}",
                 cause="it is not registered to the color camera",
                 remedy="register depth to color",
@@ -154,8 +147,8 @@ class PictureCheck:
             return None
         if not steps.any():
             self.findings.warning(
-                path, "pixels", "a depth map is empty", place=place,
-                remedy="remove it, or record it anew",
+                path, "pixels", "the depth map is empty", place=place,
+                remedy="remove it, or record it again",
             )  # fmt: skip
             return None
         return steps * (scene.depth_scale[scene.image_id == image_id][0] / MM)
@@ -163,15 +156,15 @@ class PictureCheck:
     def _open(
         self, path: Path, mode: Literal["RGB", "L"] | None, place: Place
     ) -> np.ndarray | None:
-        """An image file, or None with a finding."""
+        """Returns the decoded image file, or None with a finding."""
         try:
             return read_image(path, mode)
         except (OSError, ValueError):
             self.findings.error(
-                path, "pixels", "cannot be read as a picture", place=place,
+                path, "pixels", "cannot be read as an image", place=place,
                 detail=f"{path.stat().st_size} bytes" if path.exists() else "",
-                cause="truncated by a full disk or a broken download",
-                remedy="fetch or write it again",
+                cause="truncated by a full disk or an interrupted download",
+                remedy="download or write it again",
             )  # fmt: skip
             return None
 
@@ -179,7 +172,7 @@ class PictureCheck:
 def _evidence(
     scene: Scene, row: int, shape: tuple[int, int], mask: np.ndarray | None
 ) -> Evidence | None:
-    """What is known of where an object is, if it is enough to judge by."""
+    """Returns the mask or box to compare a projection with, or None if too little is visible."""
     rows = scene.annotations
     visible = float(rows.visibility[row])
     if visible < MIN_VISIBLE:

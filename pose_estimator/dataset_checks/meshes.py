@@ -1,4 +1,4 @@
-"""The meshes of a dataset that may be damaged, and what ``models_info.json`` says of them."""
+"""Reads a dataset's possibly invalid meshes and ``models_info.json``."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from ..bop.fields import MM, Report
 from ..bop.models_info import BopModelInfo, read_entries
 from .findings import Findings
 
-LIGHT_FACES = 600
-"""As many faces as a silhouette needs."""
+SILHOUETTE_FACES = 600
+"""Faces of a mesh that is decimated for silhouettes."""
 
 
 @dataclass(eq=False)
 class CheckedModel:
-    """One object: what its mesh is, and what ``models_info.json`` says of it.
+    """One object: its mesh and its entry of ``models_info.json``.
 
     Attributes:
-        info: what the file says; NaN where it does not.
+        info: the entry; NaN where invalid.
         info_path: ``models_info.json``.
         mesh: as read, meters; None where it cannot be read.
-        vertices: (V, 3) of the mesh, meters, thinned out for silhouettes.
+        vertices: (V, 3) of the mesh decimated for silhouettes, meters.
         faces: (F, 3).
         measured: diameter of the mesh, meters; NaN without one.
     """
@@ -46,22 +46,22 @@ class CheckedModel:
 
     @property
     def equivalents(self) -> np.ndarray:
-        """Transforms (S, 4, 4) under which it looks the same, identity first, without axes."""
+        """Discrete symmetry transforms (S, 4, 4), identity first."""
         discrete = self.info.discrete
         good = discrete[~np.isnan(discrete).any(axis=(1, 2))]
         return np.concatenate([np.eye(4)[None], good])
 
 
 def read_models(root: Path, findings: Findings) -> dict[int, CheckedModel]:
-    """All objects of ``models`` (or, without that folder, ``models_eval``), by number."""
+    """Returns obj_id -> object of ``models`` (or, without that folder, ``models_eval``)."""
     folder = root / "models"
     if not folder.is_dir() and (root / "models_eval").is_dir():
         folder = root / "models_eval"
     if not folder.is_dir():
         findings.error(
             folder, "folder", "the dataset has no models",
-            cause="the models of a BOP dataset are a download of their own (..._models.zip)",
-            remedy="put models/obj_000001.ply and so on, and models/models_info.json, here",
+            cause="BOP datasets have their models in a separate download (..._models.zip)",
+            remedy="add models/obj_000001.ply and so on, and models/models_info.json",
         )  # fmt: skip
         return {}
     path = folder / "models_info.json"
@@ -81,15 +81,15 @@ def _read_model(info: BopModelInfo, path: Path, report: Report) -> CheckedModel:
     if mesh is None:
         return CheckedModel(info, path, None, np.empty((0, 3)), np.empty((0, 3), np.int32), np.nan)
     measured = surface.diameter(np.asarray(mesh.vertices))
-    return CheckedModel(info, path, mesh, *_lighten(mesh), measured)
+    return CheckedModel(info, path, mesh, *_decimate(mesh), measured)
 
 
 def _read_mesh(path: Path, report: Report) -> trimesh.Trimesh | None:
-    """The mesh in meters, or None."""
+    """Returns the mesh in meters, or None."""
     if not path.is_file():
         report(
             path, "file", "an object has no mesh", detail=f"{path.name} is missing",
-            remedy="restore the mesh, or take the object out of models_info.json",
+            remedy="restore the mesh, or remove the object from models_info.json",
         )  # fmt: skip
         return None
     try:
@@ -99,27 +99,27 @@ def _read_mesh(path: Path, report: Report) -> trimesh.Trimesh | None:
         if not np.isfinite(mesh.vertices).all():
             raise InputError("NaN or infinite coordinates")
         if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-            raise InputError("faces with vertices that it does not have")
+            raise InputError("faces with invalid vertex indices")
         mesh.apply_scale(1 / MM)
         surface.diameter(np.asarray(mesh.vertices))
-    except Exception as error:  # readers of broken files fail in every way there is
+    except Exception as error:  # mesh readers raise any type of error for invalid files
         report(
             path, "file", "the mesh cannot be read",
             detail=" ".join(str(error).split())[:100] or type(error).__name__,
             cause="truncated, or exported without faces",
-            remedy="export it anew as a PLY with faces",
+            remedy="export it again as a PLY with faces",
         )  # fmt: skip
         return None
     return mesh
 
 
-def _lighten(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and faces, thinned out by quadric edge collapse."""
+def _decimate(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
+    """Returns vertices and faces after quadric edge collapse."""
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    if len(faces) > LIGHT_FACES:
+    if len(faces) > SILHOUETTE_FACES:
         size = float(mesh.extents.max())  # the collapse's thresholds are lengths
-        light, faces = fast_simplification.simplify(
-            (vertices / size).astype(np.float32), faces, target_count=LIGHT_FACES, agg=5.0
+        decimated, faces = fast_simplification.simplify(
+            (vertices / size).astype(np.float32), faces, target_count=SILHOUETTE_FACES, agg=5.0
         )
-        vertices = light.astype(np.float64) * size
+        vertices = decimated.astype(np.float64) * size
     return vertices, np.asarray(faces)

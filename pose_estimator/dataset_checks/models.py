@@ -1,4 +1,4 @@
-"""Do the models agree with what ``models_info.json`` says of them: units, sizes, symmetries."""
+"""Checks that the meshes agree with ``models_info.json``: units, sizes, symmetries."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .findings import Findings
 from .meshes import CheckedModel
 
 SIZES = (0.003, 5.0)
-"""Meters between which the diameter of an object is believed."""
+"""Range of plausible object diameters, meters."""
 
 SAME_SIZE = 0.03
 SAME_SURFACE = 0.01
@@ -61,10 +61,10 @@ def _check_sizes(model: CheckedModel, findings: Findings) -> None:
     if np.isfinite(ratio) and not 1 - SAME_SIZE <= ratio <= 1 + SAME_SIZE:
         findings.error(
             model.info_path, "diameter", "differs from the mesh",
-            detail=f"{name} is said to be {_length(model.info.diameter)} in diameter, "
-            f"its mesh is {_length(model.measured)}",
-            cause=_other_unit(ratio) or "the mesh was scaled or replaced afterwards",
-            remedy="give the largest distance between two vertices in millimeters",
+            detail=f"{name}: {_length(model.info.diameter)}, the mesh has "
+            f"{_length(model.measured)}",
+            cause=_wrong_unit(ratio) or "the mesh was scaled or replaced afterwards",
+            remedy="write the largest distance between two vertices in millimeters",
         )  # fmt: skip
     given = np.stack([model.info.minimum, model.info.extents])
     found = np.stack([model.mesh.bounds[0], model.mesh.extents])
@@ -74,17 +74,17 @@ def _check_sizes(model: CheckedModel, findings: Findings) -> None:
         findings.error(
             model.info_path, "min_x ... size_z", "the bounding box differs from the mesh",
             detail=f"{name}: off by up to {_length(off)}",
-            cause=_other_unit(ratio) or "the mesh was moved, turned or replaced afterwards; poses "
-            "then mean another frame",
-            remedy="give minimum and size of the vertices in millimeters",
+            cause=_wrong_unit(ratio) or "the mesh was moved, rotated or replaced afterwards, so "
+            "that poses are of another frame",
+            remedy="write minimum and size of the vertices in millimeters",
         )  # fmt: skip
 
 
-def _other_unit(ratio: float) -> str:
-    """The cause, where a length is wrong by a factor of about 1000."""
+def _wrong_unit(ratio: float) -> str:
+    """Returns the cause of a length that is wrong by a factor of about 1000, else nothing."""
     if 0.0008 < ratio < 0.0012:
         return "it is in meters; BOP has millimeters"
-    return "it was multiplied by 1000 once too often" if 800 < ratio < 1200 else ""
+    return "it was scaled by 1000 twice" if 800 < ratio < 1200 else ""
 
 
 def _check_symmetries(model: CheckedModel, mesh: trimesh.Trimesh, findings: Findings) -> None:
@@ -100,7 +100,7 @@ def _check_symmetries(model: CheckedModel, mesh: trimesh.Trimesh, findings: Find
 
     listed = {f"symmetries_discrete, number {i}": T for i, T in enumerate(model.info.discrete)}
     for i, (x, y, z, *offset) in enumerate(model.info.axes):
-        T = _turn(np.array([x, y, z]), np.array(offset), 90)
+        T = _rotation_about(np.array([x, y, z]), np.array(offset), 90)
         listed[f"symmetries_continuous, number {i}"] = T
     for name, T in listed.items():
         _check_listed(model, name, T, moved, findings)
@@ -108,12 +108,12 @@ def _check_symmetries(model: CheckedModel, mesh: trimesh.Trimesh, findings: Find
         return
     center = mesh.bounds.mean(axis=0)
     for axis, direction in zip("xyz", np.eye(3), strict=True):
-        distance, color = moved(_turn(direction, center, 180))
+        distance, color = moved(_rotation_about(direction, center, 180))
         if distance < SAME_SURFACE and color < SAME_COLOR:
             findings.warning(
-                model.info_path, "symmetries_discrete", "a symmetric object is not said to be one",
-                detail=f"object {model.obj_id} looks the same after half a turn about {axis}",
-                cause="equal views would have different poses: training is told contradictions",
+                model.info_path, "symmetries_discrete", "a symmetry is missing",
+                detail=f"object {model.obj_id} is symmetric under a half turn about {axis}",
+                cause="equal views have different poses, so that training data is ambiguous",
                 remedy="add symmetries_discrete or symmetries_continuous to models_info.json",
             )  # fmt: skip
             return
@@ -140,9 +140,9 @@ def _check_listed(
         findings.error(
             model.info_path, field, "is not a rigid motion",
             detail=f"object {model.obj_id}, {name}: determinant {np.linalg.det(rotation):.3f}",
-            cause="a mirror symmetry is not one: no turn of the object does it"
+            cause="a reflection is not a rigid symmetry"
             if np.linalg.det(rotation) < 0 else "numbers in another order, or no unit axis",
-            remedy="give 4x4 rotations and translations, row by row",
+            remedy="write 4x4 rigid transforms, row-major",
         )  # fmt: skip
         return
     distance, _ = moved(T)
@@ -151,13 +151,13 @@ def _check_listed(
             model.info_path, field, "does not map the object onto itself",
             detail=f"object {model.obj_id}, {name}: the surface moves by "
             f"{100 * distance:.0f} % of the diameter",
-            cause="another axis, another object's entry, or a frame that was changed afterwards",
-            remedy="give the symmetry in the frame of the mesh, its translation in millimeters",
+            cause="another axis, another object's entry, or a changed mesh frame",
+            remedy="write the symmetry in the frame of the mesh, its translation in millimeters",
         )  # fmt: skip
 
 
-def _turn(axis: np.ndarray, offset: np.ndarray, degrees: float) -> np.ndarray:
-    """A turn about an axis through a point; NaN where the axis is nothing."""
+def _rotation_about(axis: np.ndarray, offset: np.ndarray, degrees: float) -> np.ndarray:
+    """Returns a rotation about an axis through a point as (4, 4); NaN for a zero axis."""
     length = np.linalg.norm(axis)
     if not length > 0:
         return np.full((4, 4), np.nan)
@@ -166,5 +166,5 @@ def _turn(axis: np.ndarray, offset: np.ndarray, degrees: float) -> np.ndarray:
 
 
 def _length(meters: float) -> str:
-    """A length for people."""
+    """Formats a length."""
     return f"{meters:.4g} m" if meters >= 1 else f"{1e3 * meters:.4g} mm"

@@ -1,4 +1,4 @@
-"""Overlay pictures of wrong projections: the mask and the model, as written and as corrected."""
+"""Overlay images of wrong projections: the mask and the model, as written and as corrected."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _draw(projection: Projection, path: Path) -> None:
     """
     from matplotlib.figure import Figure
 
-    picture = read_image(projection.picture)
+    image = read_image(projection.image_path)
     readings = [("as written", WRITTEN, projection.T_cam_obj, projection.K)]
     if (cause := projection.cause) is not None:
         readings.append(("as corrected", CORRECTED, cause.T_cam_obj, cause.K))
@@ -66,13 +66,13 @@ def _draw(projection: Projection, path: Path) -> None:
     outlines = [outline(projection.model, T, K, shape) for _, _, T, K in readings]
     frame = _frame(projection.evidence, [c for found in outlines for c in found])
     for panel, contours, (title, color, T, K) in zip(panels, outlines, readings, strict=True):
-        panel.imshow(picture)
+        panel.imshow(image)
         _draw_evidence(panel, projection.evidence)
         for contour in contours:
             closed = np.concatenate([contour, contour[:1]])
             panel.plot(*closed.T, color="black", linewidth=3.5)
             panel.plot(*closed.T, color=color, linewidth=2)
-        named = "model" if contours else "model is not in the picture"
+        named = "model" if contours else "model is not in the image"
         panel.plot([], [], color=color, linewidth=2, label=f"{named} {title}")
         score = projection.evidence.score(projection.model, T, K)
         panel.set_title(f"{title}: {100 * score:.0f} % match", fontsize=11)

@@ -1,4 +1,4 @@
-"""Do pairs of views, and cameras in the world, agree with the poses of objects that stand still."""
+"""Checks that view pairs and camera world poses agree with the poses of static objects."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .meshes import CheckedModel
 from .pose_mistakes import OPENGL
 
 STILL = 0.02
-"""Meters by which an object that stood still may be off, and a tenth of its diameter more."""
+"""Tolerance in meters of a static object's position, in addition to a tenth of its diameter."""
 
 Reading = tuple[str, str, Callable[[np.ndarray], np.ndarray]]
 
@@ -34,7 +34,7 @@ def _scaled(factor: float) -> Callable[[np.ndarray], np.ndarray]:
 _READINGS: tuple[Reading, ...] = (
     ("it is inverted", "invert it", invert),
     ("it is in meters; BOP has millimeters", "multiply translations by 1000", _scaled(1e3)),
-    ("it was multiplied by 1000 once too often", "divide translations by 1000", _scaled(1e-3)),
+    ("it was scaled by 1000 twice", "divide translations by 1000", _scaled(1e-3)),
     (
         "it is inverted, and in meters", "invert it, and multiply translations by 1000",
         lambda T: invert(_scaled(1e3)(T)),
@@ -68,30 +68,30 @@ def check_pairs(
     pairs: Mapping[int, BopPair],
     scene: Scene,
     models: Mapping[int, CheckedModel],
-    believed: np.ndarray,
+    reliable: np.ndarray,
     findings: Findings,
 ) -> None:
     """Checks the pairs of one scene against the poses of their objects.
 
     Args:
         path: the file of pairs.
-        pairs: those of the scene, by their position in the file.
+        pairs: position in the file -> pair of the scene.
         scene: the scene.
-        models: by number.
-        believed: bool (N,), which annotations can be relied on.
-        findings: are added to.
+        models: obj_id -> model.
+        reliable: bool (N,), annotations with a plausible pose.
+        findings: receives the findings.
     """
-    poses = _poses(scene, believed)
+    poses = _poses(scene, reliable)
     images = set(scene.image_id.tolist())
     for number, pair in pairs.items():
         first, second = pair.ref_image_id, pair.second_image_id
         place = Place(scene.scene_id, first)
-        where = f"pair {number}, pictures {first} and {second}"
+        where = f"pair {number}, images {first} and {second}"
         if lost := [i for i in (first, second) if i not in images]:
             findings.error(
-                path, "image", "a pair names a picture that is not there", place=place,
-                detail=f"{where}: scene {pair.scene_id} has no picture {lost[0]}",
-                remedy="remove the pair, or restore the picture",
+                path, "image", "the pair's image does not exist", place=place,
+                detail=f"{where}: scene {pair.scene_id} has no image {lost[0]}",
+                remedy="remove the pair, or restore the image",
             )  # fmt: skip
             continue
         T = pair.T_second_ref
@@ -114,15 +114,15 @@ def check_pairs(
         distance = _median_distance(T, shown, models)
         if distance <= 1:
             continue
-        cause, remedy = "it is another pair's, or the objects moved", "compute it anew"
+        cause, remedy = "it is another pair's, or the objects moved", "compute it again"
         for reason, cure, read in _PAIR_READINGS:
             if _median_distance(read(T), shown, models) <= 1:
                 cause, remedy = reason, cure
                 break
         findings.error(
-            path, "T_second_ref", "a pair disagrees with the poses of its objects", place=place,
-            detail=f"{where}: objects are {1e3 * STILL * distance:.0f} mm or more from where it "
-            "puts them", cause=cause, remedy=remedy,
+            path, "T_second_ref", "the pair disagrees with the poses of its objects", place=place,
+            detail=f"{where}: objects are off by {1e3 * STILL * distance:.0f} mm or more",
+            cause=cause, remedy=remedy,
         )  # fmt: skip
 
 
@@ -131,7 +131,7 @@ def _median_distance(
     shown: Sequence[tuple[np.ndarray, np.ndarray, int]],
     models: Mapping[int, CheckedModel],
 ) -> float:
-    """How far objects are from where T puts them, in what they may be off."""
+    """Returns the objects' median distance from where T predicts them, in units of tolerance."""
     distances = []
     for first, second, obj_id in shown:
         model = models.get(obj_id)
@@ -142,20 +142,14 @@ def _median_distance(
     return float(np.median(distances))
 
 
-def check_world(scene: Scene, believed: np.ndarray, findings: Findings) -> None:
-    """Whether objects stand still in the world that the cameras of a scene say they are in.
-
-    Args:
-        scene: the scene.
-        believed: bool (N,), which annotations can be relied on.
-        findings: are added to.
-    """
+def check_world(scene: Scene, reliable: np.ndarray, findings: Findings) -> None:
+    """Checks that objects are static in the world frame; ``reliable`` as in `check_pairs`."""
     known = ~np.isnan(scene.T_cam_world).any(axis=(1, 2)) & rigid_or_nan(scene.T_cam_world)
     if known.sum() < 2:
         return
     world = dict(zip(scene.image_id[known].tolist(), scene.T_cam_world[known], strict=True))
     poses: dict[int, list[tuple[int, np.ndarray]]] = {}
-    for (image_id, obj_id), T in _poses(scene, believed).items():
+    for (image_id, obj_id), T in _poses(scene, reliable).items():
         if image_id in world:
             poses.setdefault(obj_id, []).append((image_id, T))
     tracks = [track for track in poses.values() if len(track) > 1]
@@ -163,7 +157,7 @@ def check_world(scene: Scene, believed: np.ndarray, findings: Findings) -> None:
         return
     cause, remedy = (
         "the objects moved, or world and object poses are of different recordings",
-        "leave cam_R_w2c and cam_t_w2c out where objects move",
+        "omit cam_R_w2c and cam_t_w2c where objects move",
     )
     for reason, cure, read in _WORLD_READINGS:
         if _moving(tracks, world, read) < 0.1:
@@ -171,9 +165,9 @@ def check_world(scene: Scene, believed: np.ndarray, findings: Findings) -> None:
             break
     for image_id in world:
         findings.error(
-            scene.camera_path, "cam_R_w2c, cam_t_w2c", "objects do not stand still in the world",
+            scene.camera_path, "cam_R_w2c, cam_t_w2c", "objects are not static in the world",
             place=Place(scene.scene_id, image_id), cause=cause, remedy=remedy,
-            detail="world to camera, then camera to object, must be one place in all pictures",
+            detail="object positions in the world differ between images",
         )  # fmt: skip
 
 
@@ -182,7 +176,7 @@ def _moving(
     world: Mapping[int, np.ndarray],
     read: Callable[[np.ndarray], np.ndarray],
 ) -> float:
-    """Share of the poses that are not where their object is in most pictures."""
+    """Returns the fraction of poses that are off their object's median position in the world."""
     off = []
     for track in tracks:
         places = np.stack([(invert(read(world[i])) @ T)[:3, 3] for i, T in track])
@@ -191,14 +185,14 @@ def _moving(
     return float(np.mean(off))
 
 
-def _poses(scene: Scene, believed: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
-    """(image id, obj_id) -> pose, of objects that are in a picture once."""
+def _poses(scene: Scene, reliable: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
+    """Returns (image id, obj_id) -> pose of objects that an image shows once."""
     rows = scene.annotations
     found: dict[tuple[int, int], np.ndarray] = {}
     twice = set()
     for row, key in enumerate(zip(rows.image_id.tolist(), rows.obj_id.tolist(), strict=True)):
         if key in found:
             twice.add(key)
-        if believed[row]:
+        if reliable[row]:
             found[key] = rows.T_cam_obj[row]
     return {key: T for key, T in found.items() if key not in twice}

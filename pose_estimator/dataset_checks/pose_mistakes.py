@@ -1,4 +1,4 @@
-"""The mistakes that poses and cameras are written down with, each with what undoes it."""
+"""Common mistakes in written poses and camera matrices, each with its correction."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """OpenGL's camera (y up, z backward) to OpenCV's (y down, z forward)."""
 
 RESOLUTIONS = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 0.8, 1.25, 4 / 3, 1.5, 2.0, 3.0, 4.0)
-"""Ratios between the picture sizes that one camera is used at."""
+"""Common ratios between the image sizes of one camera."""
 
 ORIGINS = (0.35, 0.65)
-"""Where, in shares of the picture's sides, a corrected principal point must lie."""
+"""Range of a corrected principal point, as fractions of the image's sides."""
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """One way to read a pose and a camera matrix otherwise than they are written.
+    """One hypothesis about a wrong pose or camera matrix.
 
     Attributes:
         name: short, the same for all poses.
-        field: what is written wrongly: of scene_gt.json, or ``cam_K`` of scene_camera.json.
+        field: the wrong field of scene_gt.json, or ``cam_K`` of scene_camera.json.
         cause: what went wrong.
         remedy: what to do.
-        T_cam_obj: the pose as it was probably meant, (4, 4), meters.
-        K: the camera matrix as it was probably meant, (3, 3).
+        T_cam_obj: the corrected pose, (4, 4), meters.
+        K: the corrected camera matrix, (3, 3).
     """
 
     name: str
@@ -42,7 +42,7 @@ class Correction:
 
 
 def _reordered(order: tuple[int, int, int, int]) -> Callable[[np.ndarray], np.ndarray]:
-    """Undoes a quaternion (x, y, z, w) whose parts were read in another order."""
+    """Corrects a quaternion (x, y, z, w) that was read in another order."""
 
     def correct(T: np.ndarray) -> np.ndarray:
         quaternion = Rotation.from_matrix(T[:3, :3]).as_quat()[list(order)]
@@ -70,20 +70,20 @@ _POSES: tuple[tuple[str, str, str, str, Callable[[np.ndarray], np.ndarray]], ...
     ),
     (
         "transposed", "cam_R_m2c",
-        "the rotation is transposed: written column by column, or of the inverse",
-        "transpose cam_R_m2c: BOP has it row by row",
+        "the rotation is transposed: written column-major, or of the inverse",
+        "transpose cam_R_m2c: BOP has it row-major",
         lambda T: make_transform(T[:3, :3].T, T[:3, 3]),
     ),
     (
         "quaternion wxyz", "cam_R_m2c",
         "the rotation is of a quaternion in the order w, x, y, z that was read as x, y, z, w",
-        "build it anew: SciPy's from_quat takes x, y, z, w (or scalar_first=True)",
+        "rebuild it: SciPy's from_quat takes x, y, z, w (or scalar_first=True)",
         _reordered((1, 2, 3, 0)),
     ),
     (
         "quaternion xyzw", "cam_R_m2c",
         "the rotation is of a quaternion in the order x, y, z, w that was read as w, x, y, z",
-        "build it anew: put w first where the library wants it first", _reordered((3, 0, 1, 2)),
+        "rebuild it: put w first where the library wants it first", _reordered((3, 0, 1, 2)),
     ),
 )  # fmt: skip
 
@@ -95,19 +95,19 @@ _UNITS = (
         "multiply cam_t_m2c by 10", 10.0,
     ),
     (
-        "twice millimeters", "cam_t_m2c was multiplied by 1000 once too often",
+        "twice millimeters", "cam_t_m2c was scaled by 1000 twice",
         "divide cam_t_m2c by 1000", 1e-3,
     ),
 )  # fmt: skip
 
 
 def corrections(T: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> Iterator[Correction]:
-    """All ways to read a pose and its camera otherwise, the simple ones first.
+    """Yields all corrections of a pose and its camera, simple ones first.
 
     Args:
         T: object to camera as written, (4, 4), meters.
         K: camera matrix as written, (3, 3).
-        size: height and width of the picture.
+        size: height and width of the image.
     """
     for unit, cause, remedy, factor in _UNITS:
         scaled = T.copy()
@@ -128,19 +128,19 @@ def corrections(T: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> Iterator
 
 
 def _cameras(K: np.ndarray, size: tuple[int, int]) -> Iterator[tuple[str, str, str, np.ndarray]]:
-    """Other readings of a camera matrix that put the principal point near the middle."""
+    """Yields corrections of a camera matrix with the principal point near the image center."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     order = "write fx, 0, cx, 0, fy, cy, 0, 0, 1"
     found = [
         ("K swapped", "focal lengths and principal point are swapped", order, (cx, cy, fx, fy)),
-        ("K upright", "cx and cy are swapped, as after a turn by 90 degrees", order,
+        ("K upright", "cx and cy are swapped, as after a rotation by 90 degrees", order,
          (fy, fx, cy, cx)),
     ]  # fmt: skip
     for factor in RESOLUTIONS:
         found.append(
             (
                 f"K times {factor:.3g}",
-                f"the camera matrix is that of pictures {1 / factor:.3g} times as large",
+                f"the camera matrix is that of images {1 / factor:.3g} times as large",
                 f"multiply fx, fy, cx and cy by {factor:.3g}",
                 (factor * fx, factor * fy, factor * cx, factor * cy),
             )

@@ -1,4 +1,4 @@
-"""Can the poses be: rotations, distances, object numbers, objects that are annotated twice."""
+"""Checks poses: rotations, distances, object ids, duplicated annotations."""
 
 from __future__ import annotations
 
@@ -11,46 +11,45 @@ from ..bop.scene import UNKNOWN, Scene
 from .findings import Findings
 from .meshes import CheckedModel
 
-NEAREST, FARTHEST = 0.5, 1000.0
-"""Distances from the camera, in diameters of the object, between which a translation can be."""
+MIN_DISTANCE, MAX_DISTANCE = 0.5, 1000.0
+"""Range of plausible distances from the camera, in diameters of the object."""
 
-SAME_PLACE = 1e-3
-"""Meters; two annotations of one object that are nearer are one."""
+DUPLICATE_METERS = 1e-3
+"""Annotations of one object that are nearer to each other are duplicates."""
 
 
 def check_poses(
     scene: Scene, models: Mapping[int, CheckedModel], findings: Findings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Checks the annotations' numbers, without looking at pictures.
+    """Checks the annotations' numbers, without images.
 
     Returns:
-        Which rows of ``scene.annotations`` are whole, and which of them can be believed: bool (N,)
-        each.
+        Rows of ``scene.annotations`` with a valid pose, and with a plausible one: bool (N,) each.
     """
     rows = scene.annotations
     T = rows.T_cam_obj
-    whole = ~np.isnan(T).any(axis=(1, 2))
-    whole &= ~_wrong_rotations(scene, whole, findings)
+    valid = ~np.isnan(T).any(axis=(1, 2))
+    valid &= ~_wrong_rotations(scene, valid, findings)
     modeled = np.isin(rows.obj_id, list(models))
     for row in np.flatnonzero((rows.obj_id != UNKNOWN) & ~modeled).tolist():
         if models:
             findings.error(
                 scene.gt_path, "obj_id", "the object has no model",
                 place=scene.place(row), detail=f"obj_id {rows.obj_id[row]}",
-                cause="the models are another dataset's, or objects were numbered anew",
+                cause="the models are another dataset's, or objects were renumbered",
                 remedy="add the model, or correct obj_id",
             )  # fmt: skip
     diameters = np.array(
         [models[i].measured if i in models else np.nan for i in rows.obj_id.tolist()]
     )
-    believed = whole & ~_wrong_distances(scene, whole, diameters, findings)
-    _check_twice(scene, whole, findings)
-    return whole, believed
+    plausible = valid & ~_wrong_distances(scene, valid, diameters, findings)
+    _check_twice(scene, valid, findings)
+    return valid, plausible
 
 
-def _wrong_rotations(scene: Scene, whole: np.ndarray, findings: Findings) -> np.ndarray:
-    """Which rows have a matrix that is no rotation; recorded data may be off by 5 percent."""
-    rotations = np.where(whole[:, None, None], scene.annotations.T_cam_obj[:, :3, :3], np.eye(3))
+def _wrong_rotations(scene: Scene, valid: np.ndarray, findings: Findings) -> np.ndarray:
+    """Returns which rows have a matrix that is not a rotation within tolerance."""
+    rotations = np.where(valid[:, None, None], scene.annotations.T_cam_obj[:, :3, :3], np.eye(3))
     product = rotations @ rotations.swapaxes(1, 2)
     error = np.abs(product - np.eye(3)).max(axis=(1, 2))
     determinant = np.linalg.det(rotations)
@@ -58,34 +57,34 @@ def _wrong_rotations(scene: Scene, whole: np.ndarray, findings: Findings) -> np.
     for row in np.flatnonzero(wrong).tolist():
         scale = np.abs(product[row] / max(product[row, 0, 0], 1e-12) - np.eye(3)).max()
         if determinant[row] < 0 and error[row] <= ROTATION_TOLERANCE:
-            cause = "it mirrors: a left-handed frame, or an axis of the wrong sign"
+            cause = "it is a reflection: a left-handed frame, or an axis of the wrong sign"
         elif scale < ROTATION_TOLERANCE:
             cause = "a scale was multiplied into it"
         else:
-            cause = "numbers are wrong, or of a quaternion or Euler angles"
+            cause = "numbers are wrong, or are a quaternion or Euler angles"
         findings.error(
             scene.gt_path, "cam_R_m2c", "is not a rotation", cause=cause,
             place=scene.place(row),
             detail=f"determinant {determinant[row]:.3f}, off orthonormal by {error[row]:.2g}",
-            remedy="give an orthonormal matrix of determinant +1, row by row",
+            remedy="write an orthonormal matrix of determinant +1, row-major",
         )  # fmt: skip
     return wrong
 
 
 def _wrong_distances(
-    scene: Scene, whole: np.ndarray, diameters: np.ndarray, findings: Findings
+    scene: Scene, valid: np.ndarray, diameters: np.ndarray, findings: Findings
 ) -> np.ndarray:
-    """Which rows put the object behind the camera, around it or out of sight."""
+    """Returns which rows place the object behind the camera, around it or too far away."""
     rows = scene.annotations
     translation = rows.T_cam_obj[:, :3, 3]
     with np.errstate(invalid="ignore"):
         ratio = np.linalg.norm(translation, axis=1) / diameters
-        near = whole & (ratio < NEAREST)
-        far = whole & (ratio > FARTHEST)
-        behind = whole & (translation[:, 2] <= 0) & ~near
+        near = valid & (ratio < MIN_DISTANCE)
+        far = valid & (ratio > MAX_DISTANCE)
+        behind = valid & (translation[:, 2] <= 0) & ~near
     for row in np.flatnonzero(near | far).tolist():
-        remedy = "give the object's origin in the camera's frame, in millimeters"
-        meters = near[row] and NEAREST < 1000 * ratio[row] < FARTHEST
+        remedy = "write the object's origin in the camera frame, in millimeters"
+        meters = near[row] and MIN_DISTANCE < 1000 * ratio[row] < MAX_DISTANCE
         where = f"{1e3 * np.linalg.norm(translation[row]):.4g} mm from the camera"
         size = f"an object of {1e3 * diameters[row]:.4g} mm"
         if meters:
@@ -93,11 +92,11 @@ def _wrong_distances(
         elif near[row]:
             cause = "the pose was never filled in, or maps camera to object"
         else:
-            cause = "it was multiplied by 1000 once too often"
+            cause = "it was scaled by 1000 twice"
             remedy = "divide cam_t_m2c by 1000"
         findings.error(
             scene.gt_path, "cam_t_m2c",
-            "the camera is inside of the object" if near[row] else "the object is too far away",
+            "the camera is inside the object" if near[row] else "the object is too far away",
             place=scene.place(row), detail=f"{size}, {where}", cause=cause,
             remedy=remedy,
         )  # fmt: skip
@@ -112,15 +111,15 @@ def _wrong_distances(
     return near | far | behind
 
 
-def _check_twice(scene: Scene, whole: np.ndarray, findings: Findings) -> None:
-    """Two annotations of one object in one place."""
+def _check_twice(scene: Scene, valid: np.ndarray, findings: Findings) -> None:
+    """Reports several annotations of one object in one place."""
     rows = scene.annotations
-    candidates = np.flatnonzero(whole)
+    candidates = np.flatnonzero(valid)
     keys = np.column_stack(
         [
             rows.image_id[candidates],
             rows.obj_id[candidates],
-            np.round(rows.T_cam_obj[candidates, :3, 3] / SAME_PLACE).astype(int),
+            np.round(rows.T_cam_obj[candidates, :3, 3] / DUPLICATE_METERS).astype(int),
         ]
     )
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
@@ -128,9 +127,7 @@ def _check_twice(scene: Scene, whole: np.ndarray, findings: Findings) -> None:
     for row, other in zip(candidates.tolist(), original.tolist(), strict=True):
         if row != other:
             findings.error(
-                scene.gt_path, "obj_id", "an object is annotated twice",
-                place=scene.place(row),
-                detail=f"object {rows.obj_id[row]} stands where annotation "
-                f"{rows.index[other]} says",
-                cause="annotations were joined", remedy="remove one of the two and its masks",
+                scene.gt_path, "obj_id", "the object is annotated twice", place=scene.place(row),
+                detail=f"object {rows.obj_id[row]} has the pose of annotation {rows.index[other]}",
+                cause="annotations were merged", remedy="remove one of the two and its masks",
             )  # fmt: skip

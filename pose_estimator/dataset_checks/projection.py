@@ -1,4 +1,4 @@
-"""Do objects project onto their masks; and where not, which common mistake explains it."""
+"""Checks that objects project onto their masks, and explains those that do not."""
 
 from __future__ import annotations
 
@@ -39,28 +39,28 @@ MIN_VISIBLE = 0.15
 
 @dataclass(eq=False)
 class Projection:
-    """An annotation whose projection is looked at.
+    """An annotation and the score of its projection.
 
     Attributes:
-        place: where it stands.
+        place: its location.
         gt_path: its scene_gt.json.
         camera_path: its scene_camera.json.
         mask_path: its mask, or None.
-        picture: the picture's file.
+        image_path: the image's file.
         model: the object.
         T_cam_obj: as written, (4, 4), orthonormal.
         K: as written, (3, 3).
         evidence: what it should cover.
         score: of the pose as written.
         readings: other readings that explain it, with their scores.
-        cause: the reading that is believed.
+        cause: the correction that was chosen.
     """
 
     place: Place
     gt_path: Path
     camera_path: Path
     mask_path: Path | None
-    picture: Path
+    image_path: Path
     model: CheckedModel
     T_cam_obj: np.ndarray
     K: np.ndarray
@@ -69,8 +69,8 @@ class Projection:
     readings: list[tuple[Correction, float]] = field(default_factory=list)
     cause: Correction | None = None
 
-    def look(self) -> float:
-        """Measures the pose as written, and where that is not good every other reading."""
+    def evaluate(self) -> float:
+        """Scores the pose as written and, where that is low, every correction of it."""
         self.score = self.evidence.score(self.model, self.T_cam_obj, self.K)
         if self.score < GOOD:
             readings = [*corrections(self.T_cam_obj, self.K, self.evidence.shape), *self._shifted()]
@@ -98,7 +98,7 @@ class Projection:
             Correction(
                 SHIFTED, named, "the shape is right and its place is not: masks were shifted or "
                 "cropped, or cx and cy are of another crop",
-                "draw masks from the same pictures, or correct cx and cy", self.T_cam_obj, K,
+                "draw masks from the same images, or correct cx and cy", self.T_cam_obj, K,
             )
         ]  # fmt: skip
 
@@ -112,11 +112,11 @@ def explain(suspects: Sequence[Projection]) -> list[Projection]:
     """
     wrong = [p for p in suspects if p.score < FAIR]
     support = Counter(reading.name for p in wrong for reading, _ in p.readings)
-    believed = {name for name, count in support.items() if count >= SHARE * len(wrong)}
+    accepted = {name for name, count in support.items() if count >= SHARE * len(wrong)}
     if support[SHIFTED] < MIN_SHIFTED:
-        believed.discard(SHIFTED)
+        accepted.discard(SHIFTED)
     for projection in suspects:
-        known = [(r, s) for r, s in projection.readings if r.name in believed]
+        known = [(r, s) for r, s in projection.readings if r.name in accepted]
         if known:
             best = max(score for _, score in known)
             near = [reading for reading, score in known if score >= best - 0.1]
@@ -145,5 +145,5 @@ def report(wrong: Sequence[Projection], findings: Findings) -> None:
         add(
             file, name, problem, place=projection.place, detail=detail,
             cause=cause.cause if cause else "pose, mask, camera or model are another's",
-            remedy=cause.remedy if cause else "look at the overlay (--out DIR) and annotate anew",
+            remedy=cause.remedy if cause else "see the overlay (--out DIR) and annotate again",
         )  # fmt: skip

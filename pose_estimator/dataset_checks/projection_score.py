@@ -1,4 +1,4 @@
-"""How well an object in a pose covers what a picture's mask, or box, says of it."""
+"""Scores how well an object's projection matches its mask or box."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SIDE = 160
 """Pixels along the longer side of the window in which silhouettes are compared."""
 
 _FINEST = 4.0
-"""Window pixels for each of a picture: drawn triangles are wider than they are by half of one."""
+"""Window pixels for each of an image: drawn triangles are wider than they are by half of one."""
 
 _LARGEST = 6.0
 """A projection that is so many times as long as what it should cover covers nothing."""
@@ -22,10 +22,10 @@ _LARGEST = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What is known of where an object is in a picture.
+    """What is known of where an object is in an image.
 
     Attributes:
-        shape: height and width of the picture.
+        shape: height and width of the image.
         box: left, top, right, bottom of what is seen, pixels.
         mask: bool (h, w) of the visible pixels within ``box``, or None where only boxes are known.
         visibility: visible fraction of the silhouette, NaN where unknown.
@@ -51,7 +51,7 @@ class Evidence:
 
         With a mask: the intersection over union of mask and silhouette, divided by the visible
         fraction, which a right pose would reach; where that is unknown, the share of the mask that
-        the silhouette covers. Without one: the same of boxes. What lies outside of the picture may
+        the silhouette covers. Without one: the same of boxes. What lies outside of the image may
         count as visible or not: the better of the two is taken.
 
         Args:
@@ -85,7 +85,7 @@ class Evidence:
         high = np.ceil(np.maximum(box[2:], self.box[2:])) + 1
         scale = min(_FINEST, _SIDE / max(high - low + 1))
         across, down = (np.arange(n) for n in np.ceil((high - low + 1) * scale).astype(int))
-        # The pixels of the picture under the middles of the window's pixels.
+        # The pixels of the image under the middles of the window's pixels.
         u = np.round(low[0] + across / scale).astype(int)
         v = np.round(low[1] + down / scale).astype(int)
         window = np.array([[scale, 0, -scale * low[0]], [0, scale, -scale * low[1]], [0, 0, 1]])

@@ -50,7 +50,7 @@ def every_info(data: Path, change: Callable[[dict[str, Any]], None]) -> None:
                 change(entry)
 
 
-def every_picture(data: Path, pattern: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
+def every_image(data: Path, pattern: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
     for path in data.glob(f"test/*/{pattern}"):
         cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
 
@@ -138,8 +138,8 @@ def as_corners(entry: dict[str, Any]) -> None:
     entry["bbox_visib"] = [left, top, left + width, top + height]
 
 
-def shift(picture: np.ndarray) -> np.ndarray:
-    return np.roll(picture, 45, axis=1)
+def shift(image: np.ndarray) -> np.ndarray:
+    return np.roll(image, 45, axis=1)
 
 
 def shift_boxes(entry: dict[str, Any]) -> None:
@@ -147,7 +147,7 @@ def shift_boxes(entry: dict[str, Any]) -> None:
 
 
 def shift_masks(data: Path) -> None:
-    every_picture(data, "mask_visib/*", shift)
+    every_image(data, "mask_visib/*", shift)
     every_info(data, shift_boxes)
 
 

@@ -13,9 +13,9 @@ from helpers.damage_tools import (
     as_corners,
     camera_matrix,
     every_camera,
+    every_image,
     every_info,
     every_pair,
-    every_picture,
     flip_bit,
     invert_pair,
     invert_world,
@@ -27,9 +27,9 @@ from helpers.damage_tools import (
 )
 
 IMAGES = {
-    "K of a larger picture": Damage(
+    "K of a larger image": Damage(
         camera_matrix(lambda fx, fy, cx, cy: [2 * fx, 0, 2 * cx, 0, 2 * fy, 2 * cy, 0, 0, 1]),
-        "scene_camera.json", "cam_K", "pictures 2 times as large", count=8,
+        "scene_camera.json", "cam_K", "images 2 times as large", count=8,
     ),
     "K swapped": Damage(
         camera_matrix(lambda fx, fy, cx, cy: [cx, 0, fx, 0, cy, fy, 0, 0, 1]),
@@ -39,7 +39,7 @@ IMAGES = {
         camera_matrix(lambda fx, fy, cx, cy: [fx, 0, 0, 0, fy, 0, cx, cy, 1]),
         "scene_camera.json", "cam_K", "transposed", count=8,
     ),
-    "K in shares of the picture": Damage(
+    "K in shares of the image": Damage(
         camera_matrix(lambda fx, fy, cx, cy: [fx / 320, 0, cx, 0, fy / 240, cy, 0, 0, 1]),
         "scene_camera.json", "cam_K", "focal lengths are too short",
     ),
@@ -51,17 +51,17 @@ IMAGES = {
         lambda d: every_camera(d, lambda entry: entry.pop("cam_K")),
         "scene_camera.json", "cam_K", "the field is missing", count=8,
     ),
-    "pictures scaled": Damage(
-        lambda d: every_picture(d, "rgb/*", lambda p: cv2.resize(p, (160, 120))),
-        "rgb/", "size", "differ from camera.json", "warning",
+    "images scaled": Damage(
+        lambda d: every_image(d, "rgb/*", lambda p: cv2.resize(p, (160, 120))),
+        "rgb/", "size", "differs from camera.json", "warning",
     ),
     "masks of another size": Damage(
-        lambda d: every_picture(d, "mask_visib/*", lambda p: cv2.resize(p, (640, 480))),
-        "mask_visib/", "size", "another size than its picture", count=24,
+        lambda d: every_image(d, "mask_visib/*", lambda p: cv2.resize(p, (640, 480))),
+        "mask_visib/", "size", "size differs from the image", count=24,
     ),
     "box outside": Damage(
         set_key(f"{SCENE}/scene_gt_info.json", "1", 0, "bbox_visib", value=[900, 20, 40, 40]),
-        "scene_gt_info.json", "bbox_visib", "leaves the picture", count=1,
+        "scene_gt_info.json", "bbox_visib", "is not inside the image", count=1,
     ),
     "boxes as corners": Damage(
         lambda d: every_info(d, as_corners), "scene_gt_info.json", "bbox_visib", "it holds corners"
@@ -75,35 +75,35 @@ IMAGES = {
         lambda d: cv2.imwrite(
             str(d / SCENE / "mask_visib/000001_000000.png"), np.zeros((240, 320), np.uint8)
         ) and None,
-        "mask_visib/000001_000000.png", "pixels", "a mask is empty",
+        "mask_visib/000001_000000.png", "pixels", "mask is empty",
     ),
     "visible fraction in percent": Damage(
         lambda d: every_info(d, scaled("visib_fract", 100)),
         "scene_gt_info.json", "visib_fract", "it is in percent",
     ),
-    "infos of fewer annotations": Damage(
+    "gt_info of fewer annotations": Damage(
         lambda d: set_key(f"{SCENE}/scene_gt_info.json", "1", value=[])(d),
         "scene_gt_info.json", "image", "does not match scene_gt.json",
     ),
     "depth_scale of other maps": Damage(
         lambda d: every_camera(d, scaled("depth_scale", 10)),
-        "scene_camera.json", "depth_scale", "10 times what it must be", count=24,
+        "scene_camera.json", "depth_scale", "10 times the correct", count=24,
     ),
     "depth_scale in meters": Damage(
         lambda d: every_camera(d, scaled("depth_scale", 0.001)),
-        "scene_camera.json", "depth_scale", "0.001 times what it must be", count=24,
+        "scene_camera.json", "depth_scale", "0.001 times the correct", count=24,
     ),
     "depth not registered": Damage(
-        lambda d: every_picture(d, "depth/*", lambda p: np.roll(p, 100, axis=1)),
-        "depth/", "pixels", "disagree with the poses",
+        lambda d: every_image(d, "depth/*", lambda p: np.roll(p, 100, axis=1)),
+        "depth/", "pixels", "disagrees with the poses",
     ),
-    "depth as a gray picture": Damage(
-        lambda d: every_picture(d, "depth/*", lambda p: (p // 256).astype(np.uint8)),
-        "depth/", "pixels", "no map of 16 bits",
+    "depth as a gray image": Damage(
+        lambda d: every_image(d, "depth/*", lambda p: (p // 256).astype(np.uint8)),
+        "depth/", "pixels", "is not 16-bit single-channel",
     ),
     "depth of another size": Damage(
-        lambda d: every_picture(d, "depth/*", lambda p: p[::2, ::2]),
-        "depth/", "size", "another size than its picture",
+        lambda d: every_image(d, "depth/*", lambda p: p[::2, ::2]),
+        "depth/", "size", "size differs from the image",
     ),
     "no models": Damage(
         lambda d: shutil.rmtree(d / "models"), "models", "folder", "has no models"
@@ -112,7 +112,7 @@ IMAGES = {
         lambda d: (d / "models/obj_000004.ply").unlink(),
         "obj_000004.ply", "file", "has no mesh", count=1,
     ),
-    "a mesh cut off": Damage(
+    "a mesh truncated": Damage(
         lambda d: truncate(d / "models/obj_000004.ply"),
         "obj_000004.ply", "file", "mesh cannot be read",
     ),
@@ -135,9 +135,9 @@ IMAGES = {
         lambda d: set_key("models/models_info.json", "1", "min_z", value=-80.0)(d),
         "models_info.json", "min_x ... size_z", "bounding box differs",
     ),
-    "symmetry not said": Damage(
+    "missing symmetry": Damage(
         lambda d: set_key("models/models_info.json", "7", "symmetries_discrete", value=[])(d),
-        "models_info.json", "symmetries_discrete", "not said to be one", "warning",
+        "models_info.json", "symmetries_discrete", "a symmetry is missing", "warning",
     ),
     "symmetry of another axis": Damage(
         lambda d: set_key("models/models_info.json", "1", "symmetries_discrete", value=[
@@ -160,13 +160,13 @@ IMAGES = {
         lambda d: every_pair(d, scaled("cam_t_ref2second", 0.001)),
         "two_view_pairs.json", "T_second_ref", "it is in meters", count=4,
     ),
-    "pair of a picture that is not there": Damage(
+    "pair with a missing image": Damage(
         set_key("two_view_pairs.json", 0, "second_image_id", value=88),
-        "two_view_pairs.json", "image", "a picture that is not there", count=1,
+        "two_view_pairs.json", "image", "image does not exist", count=1,
     ),
-    "pair of a scene that is not there": Damage(
+    "pair with a missing scene": Damage(
         set_key("two_view_pairs.json", 0, "scene_id", value=88),
-        "two_view_pairs.json", "scene_id", "a scene that is not there", count=1,
+        "two_view_pairs.json", "scene_id", "scene does not exist", count=1,
     ),
     "world to camera inverted": Damage(
         lambda d: every_camera(d, invert_world),
@@ -176,11 +176,11 @@ IMAGES = {
         lambda d: every_camera(d, scaled("cam_t_w2c", 0.001)),
         "scene_camera.json", "cam_R_w2c, cam_t_w2c", "it is in meters", count=8,
     ),
-    "world is no rotation": Damage(
+    "invalid world rotation": Damage(
         set_key(f"{SCENE}/scene_camera.json", "1", "cam_R_w2c", value=[2.0] * 9),
         "scene_camera.json", "cam_R_w2c", "is not a rotation", count=1,
     ),
-    "a bit of a picture turned": Damage(
+    "flipped bit in an image": Damage(
         lambda d: flip_bit(d / SCENE / "rgb/000001.png"),
         "rgb/000001.png", "pixels", "cannot be read", count=1,
     ),
@@ -189,7 +189,7 @@ IMAGES = {
     ),
     "pairs without objects": Damage(
         lambda d: every_pair(d, lambda pair: pair.update(baselines_deg=[3, 4])),
-        "two_view_pairs.json", "baselines_deg", "must be objects", count=4,
+        "two_view_pairs.json", "baselines_deg", "must map objects", count=4,
     ),
     "no scenes": Damage(
         lambda d: shutil.rmtree(d / "test"), "solids", "folder", "has no scenes"

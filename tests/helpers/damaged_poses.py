@@ -19,10 +19,10 @@ from helpers.damage_tools import (
 )
 
 POSES = {
-    "poses cut off": Damage(
+    "poses truncated": Damage(
         lambda d: truncate(d / SCENE / "scene_gt.json"), "scene_gt.json", "file", "not valid JSON"
     ),
-    "cameras cut off": Damage(
+    "cameras truncated": Damage(
         lambda d: truncate(d / SCENE / "scene_camera.json"),
         "scene_camera.json", "file", "not valid JSON",
     ),
@@ -30,47 +30,47 @@ POSES = {
         lambda d: (d / SCENE / "scene_camera.json").unlink(),
         "scene_camera.json", "file", "is missing",
     ),
-    "infos cut off": Damage(
+    "gt_info truncated": Damage(
         lambda d: truncate(d / SCENE / "scene_gt_info.json"),
         "scene_gt_info.json", "file", "not valid JSON",
     ),
-    "descriptions of models cut off": Damage(
+    "models_info truncated": Damage(
         lambda d: truncate(d / "models/models_info.json"),
         "models_info.json", "file", "not valid JSON",
     ),
-    "pairs cut off": Damage(
+    "pairs truncated": Damage(
         lambda d: truncate(d / "two_view_pairs.json"), "two_view_pairs.json", "file", "not valid"
     ),
     "a list for an object": Damage(
         lambda d: (d / SCENE / "scene_gt.json").write_text("[]"),
-        "scene_gt.json", "file", "wrong kind of JSON",
+        "scene_gt.json", "file", "wrong JSON type",
     ),
-    "binary rubbish": Damage(
+    "binary data": Damage(
         lambda d: (d / SCENE / "scene_gt_info.json").write_bytes(b"\xff\xfe\x00\x81"),
         "scene_gt_info.json", "file", "not valid JSON",
     ),
-    "a key twice": Damage(duplicate_key, "scene_gt.json", "keys", "twice", count=1),
-    "picture missing": Damage(
+    "duplicated key": Damage(duplicate_key, "scene_gt.json", "keys", "duplicated", count=1),
+    "image missing": Damage(
         lambda d: (d / SCENE / "rgb/000002.png").unlink(),
-        "scene_camera.json", "image", "a picture is missing", count=1,
+        "scene_camera.json", "image", "an image is missing", count=1,
     ),
-    "picture cut off": Damage(
+    "image truncated": Damage(
         lambda d: truncate(d / SCENE / "rgb/000002.png"),
         "rgb/000002.png", "pixels", "cannot be read",
     ),
-    "picture empty": Damage(
+    "image empty": Damage(
         lambda d: (d / SCENE / "rgb/000000.png").write_bytes(b""),
         "rgb/000000.png", "pixels", "cannot be read",
     ),
-    "two pictures with one number": Damage(
+    "two images with one number": Damage(
         lambda d: shutil.copyfile(d / SCENE / "rgb/000000.png", d / SCENE / "rgb/000000.jpg"),
-        "rgb/000000.png", "file", "two pictures have one number",
+        "rgb/000000.png", "file", "two images have the same id",
     ),
     "mask missing": Damage(
         lambda d: (d / SCENE / "mask_visib/000001_000002.png").unlink(),
         "scene_gt.json", "mask_visib", "a mask is missing", count=1,
     ),
-    "mask cut off": Damage(
+    "mask truncated": Damage(
         lambda d: truncate(d / SCENE / "mask_visib/000001_000002.png"),
         "000001_000002.png", "pixels", "cannot be read",
     ),
@@ -78,7 +78,7 @@ POSES = {
         lambda d: (d / SCENE / "depth/000001.png").unlink(),
         "scene_camera.json", "depth", "a depth map is missing", "warning",
     ),
-    "annotated picture without a camera": Damage(
+    "annotated image without a camera": Damage(
         lambda d: set_key(f"{SCENE}/scene_gt.json", "9", value=[])(d)
         or set_key(f"{SCENE}/scene_gt.json", "9", value=json.loads(
             (d / SCENE / "scene_gt.json").read_text())["0"])(d),
@@ -94,19 +94,19 @@ POSES = {
         set_key(f"{SCENE}/scene_gt.json", "1", 0, "cam_R_m2c", value=[1.0] * 8),
         "scene_gt.json", "cam_R_m2c", "must be 9 numbers",
     ),
-    "words for numbers": Damage(
+    "text for numbers": Damage(
         set_key(f"{SCENE}/scene_gt.json", "1", 0, "cam_t_m2c", value="far"),
         "scene_gt.json", "cam_t_m2c", "must be 3 numbers",
     ),
-    "annotation is no object": Damage(
+    "annotation is not an object": Damage(
         set_key(f"{SCENE}/scene_gt.json", "1", 0, value=7),
         "scene_gt.json", "obj_id", "the field is missing",
     ),
-    "no list of annotations": Damage(
+    "annotations are not a list": Damage(
         set_key(f"{SCENE}/scene_gt.json", "1", value={"obj_id": 1}),
         "scene_gt.json", "image", "must be a list",
     ),
-    "no object number": Damage(
+    "obj_id is null": Damage(
         set_key(f"{SCENE}/scene_gt.json", "1", 0, "obj_id", value=None),
         "scene_gt.json", "obj_id", "must be a number",
     ),
@@ -119,7 +119,7 @@ POSES = {
     ),
     "mirrored": Damage(
         lambda d: every_pose(d, lambda R, t: (R @ MIRROR, t)),
-        "scene_gt.json", "cam_R_m2c", "it mirrors", count=24,
+        "scene_gt.json", "cam_R_m2c", "it is a reflection", count=24,
     ),
     "poses in meters": Damage(
         lambda d: every_pose(d, lambda R, t: (R, t / 1000)),
@@ -127,7 +127,7 @@ POSES = {
     ),
     "poses a thousand times too far": Damage(
         lambda d: every_pose(d, lambda R, t: (R, t * 1000)),
-        "scene_gt.json", "cam_t_m2c", "once too often", count=24,
+        "scene_gt.json", "cam_t_m2c", "scaled by 1000 twice", count=24,
     ),
     "poses in centimeters": Damage(
         lambda d: every_pose(d, lambda R, t: (R, t / 10)),
@@ -155,7 +155,7 @@ POSES = {
     "xyzw read as wxyz": Damage(
         quaternion([1, 2, 3, 0]), "scene_gt.json", "cam_R_m2c", "x, y, z, w that was read as w, x"
     ),
-    "one pose of another picture": Damage(
+    "one pose of another image": Damage(
         lambda d: set_key(f"{SCENE}/scene_gt.json", "1", 1, "cam_t_m2c", value=[120, 90, 700.0])(d),
         "scene_gt.json", "cam_R_m2c, cam_t_m2c", "does not project onto its mask", count=1,
     ),

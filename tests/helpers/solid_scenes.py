@@ -87,7 +87,7 @@ def camera(azimuth: float, elevation: float, distance: float) -> np.ndarray:
 
 
 def frame(T_world_obj: dict[str, np.ndarray], T_cam_world: np.ndarray) -> BopFrame:
-    """One picture with all that BOP says of it."""
+    """One image with all that BOP says of it."""
     poses = {name: T_cam_world @ T for name, T in T_world_obj.items()}
     depths = {name: solid_depth(name, T) for name, T in poses.items()}
     front = np.min(list(depths.values()), axis=0)
@@ -114,7 +114,7 @@ def frame(T_world_obj: dict[str, np.ndarray], T_cam_world: np.ndarray) -> BopFra
 
 
 def write_dataset(root: Path) -> None:
-    """Two scenes of four pictures, models, camera.json and pairs."""
+    """Two scenes of four images, models, camera.json and pairs."""
     rng = np.random.default_rng(4)
     models = {name: solid(name) for name in SOLIDS}
     pairs = []

@@ -1,4 +1,4 @@
-"""BOP files: what is written comes back, on disk it is BOP's, and broken files are named."""
+"""BOP files: round trips, units on disk, and errors that name file and field."""
 
 import json
 import shutil
@@ -48,7 +48,7 @@ def random_frame(rng: np.random.Generator, objects: int = 2) -> bop_writer.BopFr
 
 @pytest.fixture
 def dataset(tmp_path):
-    """A dataset of two scenes with two pictures each, and the frames it was written from."""
+    """A dataset of two scenes with two images each, and the frames it was written from."""
     rng = np.random.default_rng(1)
     frames = {scene_id: [random_frame(rng), random_frame(rng)] for scene_id in (3, 12)}
     for scene_id, content in frames.items():
@@ -56,7 +56,7 @@ def dataset(tmp_path):
     return tmp_path, frames
 
 
-def test_what_is_written_is_read(dataset):
+def test_scene_round_trip(dataset):
     root, frames = dataset
     images = list(bop.read_dataset(root, "train_pbr"))
     assert [(i.scene_id, i.image_id) for i in images] == [(3, 0), (3, 1), (12, 0), (12, 1)]
@@ -110,7 +110,7 @@ def test_pairs_round_trip(tmp_path):
     np.testing.assert_allclose(entry["cam_t_ref2second"], pair.T_second_ref[:3, 3] * 1000)
 
 
-def test_pairs_say_what_is_visible_where_they_know(tmp_path):
+def test_pairs_round_trip_visible_fractions(tmp_path):
     path = tmp_path / "two_view_pairs.json"
     seen = {9: (0.5, 1.0), 1: (0.0, 0.25)}
     pairs = [bop.BopPair(0, 0, 1, np.eye(4), {9: 2.0, 1: 3.0}, visib_fracts=v) for v in (seen, {})]
@@ -124,7 +124,7 @@ def test_pairs_say_what_is_visible_where_they_know(tmp_path):
         bop.read_pairs(path)
 
 
-def test_pairs_of_a_sequence_keep_their_gap(tmp_path):
+def test_pairs_round_trip_gap(tmp_path):
     path = tmp_path / "two_view_pairs.json"
     pairs = [bop.BopPair(0, 3, 3 + gap, np.eye(4), {1: 2.0}, gap=gap) for gap in (1, 5, 10)]
     bop_writer.write_pairs(path, pairs)
@@ -133,11 +133,11 @@ def test_pairs_of_a_sequence_keep_their_gap(tmp_path):
 
 
 @pytest.mark.parametrize("gap", [0, -1, 1.5, "5", True])
-def test_a_gap_that_is_none_is_named(tmp_path, gap):
+def test_invalid_gap_is_named(tmp_path, gap):
     path = tmp_path / "two_view_pairs.json"
     bop_writer.write_pairs(path, [bop.BopPair(0, 0, 1, np.eye(4), {1: 2.0}, gap=1)])
     path.write_text(json.dumps([json.loads(path.read_text())[0] | {"gap": gap}]))
-    with pytest.raises(ValueError, match="pair 0: field 'gap' must be an integer of at least 1"):
+    with pytest.raises(ValueError, match="pair 0: field 'gap' must be an integer >= 1"):
         bop.read_pairs(path)
 
 
@@ -180,7 +180,7 @@ BROKEN = [
         lambda c: c["0"][0]["cam_R_m2c"].__setitem__(0, 3.0),
         "image 0, annotation 0: field 'cam_R_m2c' is not rigid",
     ),
-    ("scene_gt.json", lambda c: c.update({"7": []}), "image 7: an annotated picture has no camera"),
+    ("scene_gt.json", lambda c: c.update({"7": []}), "image 7: an annotated image has no camera"),
     ("scene_gt_info.json", lambda c: c.pop("1"), "image 1: .*no list for 2"),
     ("scene_gt_info.json", lambda c: c["0"].pop(), "image 0: .*1 entries for 2"),
     ("scene_gt_info.json", lambda c: c["0"][1].pop("visib_fract"), "'visib_fract' is missing"),
@@ -195,7 +195,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("name", "damage", "message"), BROKEN)
-def test_a_broken_field_is_named(dataset, name, damage, message):
+def test_invalid_field_is_named(dataset, name, damage, message):
     root, _ = dataset
     path = root / "train_pbr" / "000012" / name
     content = json.loads(path.read_text())
@@ -206,12 +206,12 @@ def test_a_broken_field_is_named(dataset, name, damage, message):
     assert name in str(error.value)
 
 
-def test_broken_files_are_named(dataset):
+def test_missing_and_truncated_files_are_named(dataset):
     root, _ = dataset
     data = bop.read_dataset(root, "train_pbr")
     image = data.scene(3)[0]
     image.rgb_path.write_bytes(image.rgb_path.read_bytes()[:20])
-    with pytest.raises(ValueError, match=r"000000\.png is not a picture file"):
+    with pytest.raises(ValueError, match=r"000000\.png is not an? "):
         bop.read_rgb(image)
     image.annotations[1].mask_visib_path.unlink()
     with pytest.raises(ValueError, match=r"annotation 1: a mask is missing .*000000_000001\.png"):
@@ -232,7 +232,7 @@ def test_broken_files_are_named(dataset):
         bop.read_dataset(root)
 
 
-def test_writing_refuses_what_reading_would(tmp_path):
+def test_writing_validates_poses_and_masks(tmp_path):
     frame = random_frame(np.random.default_rng(0))
     T = frame.annotations[0].T_cam_obj.copy()
     frame.annotations[0].T_cam_obj[0, 3] = np.nan
@@ -254,7 +254,7 @@ def test_reading_needs_no_torch():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_without_descriptions_the_masks_tell(dataset):
+def test_boxes_and_visibility_come_from_masks_without_gt_info(dataset):
     root, frames = dataset
     folder = root / "train_pbr" / "000003"
     (folder / "scene_gt_info.json").unlink()
@@ -273,7 +273,7 @@ def test_without_descriptions_the_masks_tell(dataset):
     assert second.visibility == 1.0 and second.bbox_obj == (-1, -1, -1, -1)
 
 
-def test_without_descriptions_and_masks_nothing_is_in_the_way(dataset):
+def test_objects_count_as_visible_without_gt_info_and_masks(dataset):
     root, _ = dataset
     folder = root / "train_pbr" / "000003"
     (folder / "scene_gt_info.json").unlink()
@@ -284,7 +284,7 @@ def test_without_descriptions_and_masks_nothing_is_in_the_way(dataset):
         assert annotation.px_count_visib == annotation.px_count_all == -1
 
 
-def test_gray_pictures_and_pictures_without_annotations_are_read(dataset):
+def test_gray_images_and_images_without_annotations_are_read(dataset):
     root, _ = dataset
     folder = root / "train_pbr" / "000003"
     (folder / "rgb").rename(folder / "gray")

@@ -8,7 +8,7 @@ import pytest
 from two_view_pose.pose_estimator.bop.find_dataset import find_dataset
 
 
-def test_a_folder_comes_before_a_name(tmp_path, monkeypatch):
+def test_existing_folder_has_priority_over_bop_path(tmp_path, monkeypatch):
     for folder in ("here/lmo", "bop/lmo", "bop/ycbv"):
         (tmp_path / folder).mkdir(parents=True)
     monkeypatch.chdir(tmp_path / "here")
@@ -17,7 +17,7 @@ def test_a_folder_comes_before_a_name(tmp_path, monkeypatch):
     assert find_dataset(Path("ycbv")) == tmp_path / "bop" / "ycbv"
 
 
-def test_what_is_not_there_is_named(tmp_path, monkeypatch):
+def test_missing_dataset_is_named(tmp_path, monkeypatch):
     monkeypatch.delenv("BOP_PATH", raising=False)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match=r"no dataset tless: .* set BOP_PATH"):

@@ -1,4 +1,4 @@
-"""Pairs found from world poses or objects are those that were made; moved objects are left out."""
+"""Pairs found from world poses or objects have the true motion; moved objects are excluded."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from two_view_pose.pose_estimator.bop.dataset import (
 from two_view_pose.pose_estimator.bop.find_pairs import find_pairs, pairs_of_scene
 from two_view_pose.pose_estimator.bop.pairs import read_pairs
 
-TURN = np.stack([np.eye(4), np.diag([-1.0, -1, 1, 1])])
+HALF_TURN = np.stack([np.eye(4), np.diag([-1.0, -1, 1, 1])])
 
 
 def camera(azimuth: float, distance: float = 1.0) -> np.ndarray:
@@ -78,7 +78,7 @@ def test_motion_and_baseline_are_the_cameras(world):
 
 
 @pytest.mark.parametrize("world", [True, False])
-def test_a_moved_object_is_left_out(world):
+def test_moved_object_is_excluded(world):
     images = scene([0.0, 30.0], OBJECTS, world)
     T = images[1].annotation(5).T_cam_obj  # type: ignore[union-attr]
     images[1] = changed(images[1], 5, make_transform(T[:3, :3], T[:3, 3] + [0.02, 0, 0]))
@@ -87,42 +87,42 @@ def test_a_moved_object_is_left_out(world):
     assert len(pairs_of_scene(images, {})) == 2
 
 
-def test_without_a_world_two_objects_must_agree_and_a_lone_one_is_believed():
+def test_without_world_poses_two_objects_must_agree_and_a_single_one_is_used():
     images = scene([0.0, 30.0], {1: OBJECTS[1], 5: OBJECTS[5]}, world=False)
     assert len(pairs_of_scene(images, {})) == 2
     T = images[1].annotation(5).T_cam_obj  # type: ignore[union-attr]
     images[1] = changed(images[1], 5, T @ placed(0.03, 0, 0))
     assert pairs_of_scene(images, {}) == []
-    lone = scene([0.0, 30.0], {1: OBJECTS[1]}, world=False)
-    assert len(pairs_of_scene(lone, {})) == 2
+    single = scene([0.0, 30.0], {1: OBJECTS[1]}, world=False)
+    assert len(pairs_of_scene(single, {})) == 2
 
 
-def test_a_symmetric_object_may_be_annotated_either_way():
+def test_symmetric_object_may_have_any_equivalent_pose():
     images = scene([0.0, 30.0], OBJECTS, world=False)
     T = images[1].annotation(5).T_cam_obj  # type: ignore[union-attr]
-    images[1] = changed(images[1], 5, T @ TURN[1])
-    found = pairs_of_scene(images, {5: TURN})
+    images[1] = changed(images[1], 5, T @ HALF_TURN[1])
+    found = pairs_of_scene(images, {5: HALF_TURN})
     assert [pair.obj_ids for pair in found] == [(1, 5, 9)] * 2
     assert [pair.obj_ids for pair in pairs_of_scene(images, {})] == [(1, 9)] * 2
-    # It also says how the camera moved, where it is half of all that is there.
+    # It also proposes the camera motion, as one of two objects.
     both = [
         replace(image, annotations=tuple(a for a in image.annotations if a.obj_id != 9))
         for image in images
     ]
     expected = camera(30) @ invert(camera(0))
-    (pair, _) = pairs_of_scene(both, {5: TURN})
+    (pair, _) = pairs_of_scene(both, {5: HALF_TURN})
     np.testing.assert_allclose(pair.T_second_ref, expected, atol=1e-9)
     assert pair.obj_ids == (1, 5)
 
 
-def test_an_object_that_is_there_twice_is_left_out():
+def test_duplicated_object_is_excluded():
     images = scene([0.0, 30.0], OBJECTS)
     twin = replace(images[0].annotations[0], T_cam_obj=camera(0) @ placed(0.2, 0, 0))
     images[0] = replace(images[0], annotations=(*images[0].annotations, twin))
     assert {pair.obj_ids for pair in pairs_of_scene(images, {})} == {(5, 9)}
 
 
-def test_hidden_objects_do_not_count_in_the_reference_view():
+def test_objects_occluded_in_the_reference_view_are_excluded():
     images = scene([0.0, 30.0], OBJECTS)
     T = images[0].annotation(5).T_cam_obj  # type: ignore[union-attr]
     images[0] = changed(images[0], 5, T, visibility=0.05)
@@ -130,7 +130,7 @@ def test_hidden_objects_do_not_count_in_the_reference_view():
     assert found == {0: (1, 9), 1: (1, 5, 9)}
 
 
-def test_pairs_are_few_spread_and_the_same_each_time():
+def test_pairs_are_spread_over_baselines_and_deterministic():
     images = scene(list(np.arange(0, 180, 3.0)), OBJECTS, world=False)
     pairs = pairs_of_scene(images, {})
     first = [pair for pair in pairs if pair.ref_image_id == 0]
@@ -144,13 +144,13 @@ def test_pairs_are_few_spread_and_the_same_each_time():
     ]
 
 
-def test_of_a_long_scene_some_images_are_paired():
+def test_long_scenes_are_subsampled():
     images = scene(list(np.linspace(0, 100, 300)), {1: OBJECTS[1]})
     paired = {pair.ref_image_id for pair in pairs_of_scene(images, {})}
     assert 150 < len(paired) <= 200 and {0, 299} <= paired
 
 
-def test_the_file_comes_first(dataset: Path, tmp_path: Path):
+def test_pairs_file_has_priority(dataset: Path, tmp_path: Path):
     opened = read_dataset(dataset, "train_pbr")
     listed = read_pairs(dataset)
     assert [p.second_image_id for p in find_pairs(opened)] == [p.second_image_id for p in listed]
@@ -165,8 +165,8 @@ def test_the_file_comes_first(dataset: Path, tmp_path: Path):
         np.testing.assert_allclose(same.T_second_ref, pair.T_second_ref, atol=1e-6)
 
 
-def test_nothing_to_pair_is_said(dataset: Path, tmp_path: Path):
+def test_no_pairs_is_an_error(dataset: Path, tmp_path: Path):
     (tmp_path / "train_pbr").symlink_to(dataset / "train_pbr")
     opened = read_dataset(tmp_path, "train_pbr")
-    with pytest.raises(ValueError, match=r"no two_view_pairs\.json, and no two pictures"):
+    with pytest.raises(ValueError, match=r"no two_view_pairs\.json, and no two images"):
         find_pairs(BopDataset(opened.root, opened.split, ()))

@@ -1,4 +1,4 @@
-"""What is written of models comes back, with sizes, symmetries and textures."""
+"""Round trip of models: sizes, symmetries and textures."""
 
 import json
 
@@ -47,19 +47,19 @@ def test_models_round_trip_and_load_with_their_texture(tmp_path):
     np.testing.assert_array_equal(np.asarray(mesh.visual.material.image)[..., :3], model.texture)
 
 
-def test_two_models_with_one_number_are_refused(tmp_path):
+def test_duplicate_object_ids_are_refused(tmp_path):
     with pytest.raises(ValueError, match="'crate' and 'brick' share the id 10"):
         write_models(tmp_path, [box_model(), box_model(10, "brick")])
 
 
-def test_continuous_symmetry_turns_about_its_axis(tmp_path):
+def test_continuous_symmetry_rotates_about_its_axis(tmp_path):
     entry = {"diameter": 100, "symmetries_continuous": [{"axis": [0, 0, 2], "offset": [10, 0, 0]}]}
     entry |= {f"{part}_{axis}": 5 for part in ("min", "size") for axis in "xyz"}
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "models_info.json").write_text(json.dumps({"1": entry}))
     symmetries = read_models_info(tmp_path)[1].symmetries
     assert len(symmetries) == CONTINUOUS_SYMMETRY_STEPS
-    # Points on the axis stay, and a point 20 mm beside it visits its circle evenly.
+    # Points on the axis stay, and a point 20 mm off it is spread evenly on a circle.
     np.testing.assert_allclose(symmetries @ [0.01, 0, 0.3, 1], np.tile([0.01, 0, 0.3, 1], (72, 1)))
     circle = (symmetries @ [0.03, 0, 0, 1])[:, :2] - [0.01, 0]
     np.testing.assert_allclose(np.linalg.norm(circle, axis=1), 0.02)

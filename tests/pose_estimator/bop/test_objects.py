@@ -1,4 +1,4 @@
-"""A dataset's own objects, which its errors are measured with."""
+"""Evaluation objects of a dataset."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_points_are_the_vertices_in_meters(root):
     np.testing.assert_allclose(objects[7].symmetries, solid("crate").symmetries)
 
 
-def test_models_eval_come_first_and_are_described_in_models_too(root):
+def test_models_eval_has_priority_with_the_info_of_models(root):
     write_evaluation_models(root, [solid(name) for name in IDS])
     (root / "models_eval" / "models_info.json").unlink()
     path = root / "models_eval" / "obj_000007.ply"
@@ -41,7 +41,7 @@ def test_models_eval_come_first_and_are_described_in_models_too(root):
     np.testing.assert_allclose(objects[7].points, finer.vertices / 1000, atol=1e-7)
 
 
-def test_points_without_faces_and_objects_without_a_name_will_do(root):
+def test_meshes_without_faces_and_objects_without_a_name(root):
     path = root / "models" / "models_info.json"
     infos = json.loads(path.read_text())
     del infos["1"]["name"]
@@ -53,19 +53,19 @@ def test_points_without_faces_and_objects_without_a_name_will_do(root):
     np.testing.assert_allclose(model.points, solid("bracket").vertices, atol=1e-7)
 
 
-def test_what_is_wrong_is_named(root, tmp_path):
+def test_errors_name_file_and_object(root, tmp_path):
     with pytest.raises(ValueError, match=r"neither models_eval nor models"):
         dataset_objects(root / "models")
     with pytest.raises(ValueError, match=r"does not describe object 3; it has 1, 4, 7"):
         dataset_objects(root, [7, 3])
     path = root / "models" / "obj_000004.ply"
-    whole = path.read_bytes()
+    content = path.read_bytes()
     meters = trimesh.Trimesh(solid("stairs").vertices, solid("stairs").faces, process=False)
-    for content, complaint in (
-        (whole[:400], r"obj_000004\.ply (cannot be read|must hold)"),
+    for broken, complaint in (
+        (content[:400], r"obj_000004\.ply (cannot be read|must hold)"),
         (trimesh.exchange.ply.export_ply(meters), r"both must be in millimeters"),
     ):
-        path.write_bytes(content)
+        path.write_bytes(broken)
         with pytest.raises(ValueError, match=complaint):
             dataset_objects(root)
     path.unlink()
@@ -76,7 +76,7 @@ def test_what_is_wrong_is_named(root, tmp_path):
         dataset_objects(root)
 
 
-def test_a_mesh_of_a_dataset_brings_number_symmetries_and_diameter(tmp_path: Path) -> None:
+def test_bop_mesh_has_id_symmetries_and_diameter_of_models_info(tmp_path: Path) -> None:
     folder = tmp_path / "models"
     folder.mkdir()
     mesh = trimesh.creation.cylinder(radius=20, height=90, sections=32)
@@ -96,13 +96,13 @@ def test_a_mesh_of_a_dataset_brings_number_symmetries_and_diameter(tmp_path: Pat
     assert model.diameter == pytest.approx(0.099)
     assert model.symmetric and len(model.symmetries) >= 2 * 32
     np.testing.assert_array_equal(model.symmetries[0], np.eye(4))
-    # Independent: a turn about the axis through (5, 0, 0) mm leaves that point where it is.
-    turns = [S for S in model.symmetries if S[2, 2] > 0]
-    for S in turns:
+    # Independent: a rotation about the axis through (5, 0, 0) mm leaves that point where it is.
+    rotations = [S for S in model.symmetries if S[2, 2] > 0]
+    for S in rotations:
         np.testing.assert_allclose(
             S[:3, :3] @ [0.005, 0, 0.01] + S[:3, 3], [0.005, 0, 0.01], atol=1e-9
         )
-    angles = [Rotation.from_matrix(S[:3, :3]).magnitude() for S in turns]
+    angles = [Rotation.from_matrix(S[:3, :3]).magnitude() for S in rotations]
     assert np.diff(np.sort(angles)).max() < np.deg2rad(12)
     (folder / "models_info.json").write_text(json.dumps({"7": entry | {"diameter": 50.0}}))
     with pytest.raises(ValueError, match=r"diameter of 0\.098\d* m, but .* 0\.05 m.*info\.json"):

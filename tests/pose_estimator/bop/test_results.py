@@ -1,4 +1,4 @@
-"""Result files: what is written is BOP's format, and broken ones are told by file and line."""
+"""BOP result files: format, round trip, and errors that name file and line."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def written(path: Path, *lines: str) -> Path:
     return path
 
 
-def test_a_plain_reader_of_csv_finds_millimeters_and_rows(tmp_path):
+def test_csv_has_bop_columns_and_millimeters(tmp_path):
     results = some_results(5)
     write_bop_results(tmp_path / "mid_lmo-test.csv", results)
     with (tmp_path / "mid_lmo-test.csv").open() as stream:
@@ -57,7 +57,7 @@ def test_a_plain_reader_of_csv_finds_millimeters_and_rows(tmp_path):
         np.testing.assert_allclose(t, 1000 * result.T_cam_obj[:3, 3], rtol=1e-15)
 
 
-def test_what_is_read_is_what_was_written(tmp_path):
+def test_results_round_trip(tmp_path):
     results = some_results(20)
     write_bop_results(tmp_path / "a.csv", results)
     for result, again in zip(results, read_bop_results(tmp_path / "a.csv"), strict=True):
@@ -66,7 +66,7 @@ def test_what_is_read_is_what_was_written(tmp_path):
         np.testing.assert_allclose(again.T_cam_obj, result.T_cam_obj, atol=1e-14)
 
 
-def test_files_of_others_are_read(tmp_path):
+def test_header_is_optional_and_rotations_may_be_rounded(tmp_path):
     # Without a header, with Windows' line ends, few digits and an unknown time.
     R = Rotation.from_euler("xyz", [0.3, -1, 2]).as_matrix()
     few = " ".join(f"{number:.4f}" for number in R.ravel())
@@ -93,32 +93,32 @@ def test_files_of_others_are_read(tmp_path):
         (GOOD.replace("1 0 0 0 1 0", "-1 0 0 0 1 0"), r"determinant -1"),
         (GOOD.replace("0.75", "inf"), r"field 'score' is NaN, infinite"),
         (GOOD.replace("0.125", ""), r"field 'time' must be a number"),
-        (GOOD.replace("3,7,5", "3,7.5,5"), r"im_id: expected a whole number, got '7\.5'"),
+        (GOOD.replace("3,7,5", "3,7.5,5"), r"im_id: expected an integer, got '7\.5'"),
         (GOOD.replace("3,7,5", "4,7,5"), r"scene_id 4 is not in the dataset.* has 3"),
         (GOOD.replace("3,7,5", "3,9,5"), r"im_id 9 is not in the dataset.* has 6, 7"),
         (GOOD.replace("3,7,5", "3,7,8"), r"obj_id 8 is not in the dataset.* has 5, 6"),
     ],
 )
-def test_broken_rows_are_told_by_file_and_line(tmp_path, row, complaint):
+def test_invalid_rows_are_named_by_file_and_line(tmp_path, row, complaint):
     path = written(tmp_path / "a.csv", HEADER, GOOD, row)
     with pytest.raises(ValueError, match=rf"a\.csv, line 3: .*{complaint}"):
         read_bop_results(path, {3: {6, 7}}, {5, 6})
     assert len(read_bop_results(written(path, HEADER, GOOD), {3: {6, 7}}, {5, 6})) == 1
 
 
-def test_what_is_no_such_file_is_refused(tmp_path):
+def test_missing_binary_and_empty_files_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"cannot read .*nothing\.csv"):
         read_bop_results(tmp_path / "nothing.csv")
     with pytest.raises(ValueError, match="cannot read"):
         read_bop_results(tmp_path)
-    (tmp_path / "picture.csv").write_bytes(b"\x89PNG\r\n\xff\xfe")
+    (tmp_path / "image.csv").write_bytes(b"\x89PNG\r\n\xff\xfe")
     with pytest.raises(ValueError, match="not a text file"):
-        read_bop_results(tmp_path / "picture.csv")
+        read_bop_results(tmp_path / "image.csv")
     with pytest.raises(ValueError, match="is empty"):
         read_bop_results(written(tmp_path / "empty.csv", ""))
 
 
-def test_what_is_no_estimate_is_not_written(tmp_path):
+def test_writing_refuses_non_finite_values(tmp_path):
     (good,) = some_results(1)
     bad = good.T_cam_obj.copy()
     bad[0, 3] = np.nan
@@ -129,7 +129,7 @@ def test_what_is_no_estimate_is_not_written(tmp_path):
     assert not (tmp_path / "a.csv").exists()
 
 
-def test_of_several_answers_the_surest_is_given_and_times_are_of_pictures():
+def test_lowest_uncertainty_is_kept_and_times_are_per_image():
     template = replace(some_results(1)[0], scene_id=1, image_id=2, obj_id=5, seconds=0.25)
     answers = [
         (replace(template, score=0.1), 0.002),

@@ -1,4 +1,4 @@
-"""Targets of a test split: what can be seen, and how often."""
+"""Targets of a test split: visible objects and their number of instances."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from two_view_pose.pose_estimator.bop.writer import BopFrame, write_scene
 
 
 def frame(image_id: int, *seen: tuple[int, float]) -> BopFrame:
-    """A gray picture in which objects are visible by so much."""
+    """A gray image of objects (id, visible fraction)."""
     T = make_transform(np.eye(3), np.array([0.0, 0.0, 1.0]))
     return BopFrame(
         rgb=np.full((8, 8, 3), 128, dtype=np.uint8),
@@ -25,7 +25,7 @@ def frame(image_id: int, *seen: tuple[int, float]) -> BopFrame:
     )
 
 
-def test_visible_objects_are_counted(tmp_path: Path) -> None:
+def test_targets_count_visible_instances(tmp_path: Path) -> None:
     write_scene(tmp_path, "test", 4, [frame(0, (7, 0.1), (2, 0.0999)), frame(3, (2, 0.0))])
     write_scene(tmp_path, "test", 2, [frame(1, (7, 0.5), (3, 1.0), (7, 0.2), (7, 0.05))])
     dataset = bop.read_dataset(tmp_path, "test")

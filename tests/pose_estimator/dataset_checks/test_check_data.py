@@ -1,4 +1,4 @@
-"""The linter of datasets: a sound one is left in peace, and each kind of damage is named."""
+"""check-data: no findings on valid data, and the right one for each kind of damage."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from helpers.damage_tools import (
     GL,
     SCENE,
     every_camera,
+    every_image,
     every_pair,
-    every_picture,
     every_pose,
     invert_pair,
     opened,
@@ -29,17 +29,17 @@ from two_view_pose.__main__ import main
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("sound") / "solids"
+def valid(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("valid") / "solids"
     root.mkdir()
     write_dataset(root)
     return root
 
 
 @pytest.fixture
-def data(sound: Path, tmp_path: Path) -> Path:
+def data(valid: Path, tmp_path: Path) -> Path:
     """A copy to damage."""
-    return Path(shutil.copytree(sound, tmp_path / "solids"))
+    return Path(shutil.copytree(valid, tmp_path / "solids"))
 
 
 @pytest.fixture(autouse=True)
@@ -55,11 +55,11 @@ def check(data: Path, *options: str) -> tuple[int, list[dict[str, Any]]]:
     return code, [record for record in records if record["metric"] == "findings"]
 
 
-def test_a_sound_dataset_has_no_findings(sound, capsys):
-    assert check(sound) == (0, [])
+def test_valid_dataset_has_no_findings(valid, capsys):
+    assert check(valid) == (0, [])
     printed = capsys.readouterr().out
     assert "0 errors, 0 warnings" in printed
-    assert "3 objects, 2 scenes; looked at 8 pictures, compared 24 projections" in printed
+    assert "3 objects, 2 scenes; checked 8 images, compared 24 projections" in printed
 
 
 @pytest.mark.parametrize("case", DAMAGES)
@@ -76,20 +76,20 @@ def test_damage_is_named(case, data, capsys):
         if damage.file in r["file"] and damage.field == r["field"]
         and damage.words in f"{r['problem']}: {r['cause']}"
     ]  # fmt: skip
-    said = [(r["severity"], r["file"], r["field"], r["problem"], r["cause"]) for r in records]
-    assert found and found[0]["severity"] == damage.severity, said
+    summary = [(r["severity"], r["file"], r["field"], r["problem"], r["cause"]) for r in records]
+    assert found and found[0]["severity"] == damage.severity, summary
     if damage.count is not None:
         assert found[0]["value"] == damage.count
     assert damage.field in out and found[0]["problem"] in out and found[0]["remedy"] in out
-    # One mistake is not to be drowned in its consequences.
-    assert len(records) <= 5, said
+    # One mistake must not be hidden by its consequences.
+    assert len(records) <= 5, summary
 
 
 VALUES = (None, float("nan"), -1, 0, 1e300, 10**30, "x", [], {}, [[]], {"a": 1}, True, [None] * 9)
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_no_value_in_a_wrong_place_is_too_much(seed, data):
+def test_random_json_values_do_not_crash(seed, data):
     """Any value of a JSON file, replaced by any other: findings, or none, but no failure."""
     rng = random.Random(seed)
     names = ("scene_gt.json", "scene_gt_info.json", "scene_camera.json")
@@ -110,7 +110,7 @@ def test_no_value_in_a_wrong_place_is_too_much(seed, data):
     assert code == int(any(r["severity"] == "error" for r in records))
 
 
-def test_many_equal_findings_are_one_row_with_the_first_places(data, capsys):
+def test_equal_findings_are_grouped_with_first_examples(data, capsys):
     every_pose(data, lambda R, t: (R, t * np.nan))
     code, records = check(data)
     assert code == 1 and [r["value"] for r in records] == [24]
@@ -119,18 +119,18 @@ def test_many_equal_findings_are_one_row_with_the_first_places(data, capsys):
     assert (records[0]["scene"], records[0]["image"], records[0]["annotation"]) == (0, 0, 0)
 
 
-def test_warnings_alone_leave_the_exit_code_at_zero(data, capsys):
+def test_warnings_exit_with_zero(data, capsys):
     (data / SCENE / "depth/000001.png").unlink()
     code, records = check(data)
     assert code == 0 and [r["severity"] for r in records] == ["warning"]
     assert "0 errors, 1 warning\n" in capsys.readouterr().out
 
 
-def test_wrong_projections_are_drawn_as_written_and_as_corrected(data, tmp_path, capsys):
+def test_overlays_show_written_and_corrected_poses(data, tmp_path, capsys):
     every_pose(data, lambda R, t: (GL @ R, GL @ t))
-    every_picture(data, "rgb/*", lambda p: np.full_like(p, 128))
+    every_image(data, "rgb/*", lambda p: np.full_like(p, 128))
     out = tmp_path / "overlays"
-    check(data, "--out", str(out), "--pictures", "3")
+    check(data, "--out", str(out), "--overlays", "3")
     files = sorted(out.iterdir())
     assert len(files) == 3
     assert all(str(file) in capsys.readouterr().out for file in files[:1])
@@ -145,17 +145,17 @@ def test_wrong_projections_are_drawn_as_written_and_as_corrected(data, tmp_path,
             assert (yellow.sum() > least) == bool(least)
 
 
-def test_pairs_are_not_judged_by_poses_that_are_wrong_themselves(data, capsys):
+def test_pairs_are_skipped_where_poses_are_wrong(data, capsys):
     every_pose(data, lambda R, t: (R.T, -R.T @ t))
     every_pair(data, invert_pair)
     _, records = check(data)
     assert not any(r["field"] == "T_second_ref" for r in records)
-    assert "pairs of 2 scenes were not compared" in capsys.readouterr().out
+    assert "pairs of 2 scenes were not checked" in capsys.readouterr().out
 
 
-def test_pictures_and_scenes_are_sampled(data, capsys):
+def test_images_and_scenes_are_sampled(data, capsys):
     assert check(data, "--images", "2")[0] == 0
-    assert "looked at 2 pictures" in capsys.readouterr().out
+    assert "checked 2 images" in capsys.readouterr().out
     truncate(data / SCENE / "scene_gt.json")
     assert check(data, "--scenes", "1", "--split", "test")[0] == 0
     assert "1 scene;" in capsys.readouterr().out
@@ -170,15 +170,15 @@ def test_names_are_found_below_bop_path(data, monkeypatch, capsys):
     assert "no-such-set" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("option", ["scenes", "images", "pictures"])
-def test_negative_options_are_refused(option, sound, capsys):
+@pytest.mark.parametrize("option", ["scenes", "images", "overlays"])
+def test_negative_options_are_refused(option, valid, capsys):
     with pytest.raises(SystemExit) as stop:
-        main(["check-data", str(sound), f"--{option}", "-1"])
+        main(["check-data", str(valid), f"--{option}", "-1"])
     assert stop.value.code == 2
-    assert f"{option} must be at least 0" in capsys.readouterr().err
+    assert f"{option} must be >= 0" in capsys.readouterr().err
 
 
-def test_layouts_of_other_datasets_are_sound_too(data):
+def test_valid_layouts_without_optional_files(data):
     """Without masks, depth, worlds, camera.json, pairs; gray JPEGs; fewer annotations."""
     (data / "camera.json").unlink()
     (data / "two_view_pairs.json").unlink()
@@ -201,13 +201,13 @@ def test_layouts_of_other_datasets_are_sound_too(data):
     assert check(data) == (0, [])
 
 
-def test_careless_rotations_of_recorded_data_are_no_mistake(data):
+def test_rounded_rotations_are_accepted(data):
     rng = np.random.default_rng(0)
     every_pose(data, lambda R, t: (R * (1 + 0.006 * rng.standard_normal((3, 3))), t))
     assert check(data) == (0, [])
 
 
-def test_boxes_tell_of_wrong_poses_where_there_are_no_masks(data):
+def test_boxes_reveal_wrong_poses_without_masks(data):
     for scene in (data / "test").iterdir():
         shutil.rmtree(scene / "mask_visib")
     quaternion([3, 0, 1, 2])(data)

@@ -1,4 +1,4 @@
-"""Mistakes made with SciPy and by hand are undone by the correction that bears their name."""
+"""Each mistake, made with SciPy and by hand, is undone by its correction."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MISTAKES: dict[str, Callable[[], np.ndarray]] = {
     "inverse": lambda: np.linalg.inv(T),
     "inverse of opengl": in_blender,
     "transposed": lambda: make_transform(T[:3, :3].T, T[:3, 3]),
-    # Whoever reads (w, x, y, z) as (x, y, z, w) takes w for x.
+    # Reading (w, x, y, z) as (x, y, z, w) takes w for x.
     "quaternion wxyz": lambda: reordered([3, 0, 1, 2]),
     "quaternion xyzw": lambda: reordered([1, 2, 3, 0]),
     "meters opengl": lambda: np.diag([1e-3, -1e-3, -1e-3, 1]) @ T @ np.diag([1e3, 1e3, 1e3, 1]),
@@ -42,7 +42,7 @@ MISTAKES: dict[str, Callable[[], np.ndarray]] = {
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_a_wrong_pose_is_put_right(name):
+def test_wrong_pose_is_corrected(name):
     found = {c.name: c for c in corrections(MISTAKES[name](), K, SIZE)}
     np.testing.assert_allclose(found[name].T_cam_obj, T, atol=1e-9)
     np.testing.assert_array_equal(found[name].K, K)
@@ -57,12 +57,12 @@ def test_a_wrong_pose_is_put_right(name):
         ("K times 2", [[285.0, 0, 162.5], [0, 286, 121], [0, 0, 1]]),
     ],
 )
-def test_a_wrong_camera_matrix_is_put_right(name, wrong):
+def test_wrong_camera_matrix_is_corrected(name, wrong):
     found = {c.name: c for c in corrections(T, np.array(wrong), SIZE)}
     np.testing.assert_allclose(found[name].K, K)
     np.testing.assert_array_equal(found[name].T_cam_obj, T)
 
 
-def test_a_right_camera_matrix_has_no_other_reading_with_its_center_far_off():
+def test_corrections_keep_the_principal_point_central():
     for correction in corrections(T, K, SIZE):
         assert 0.3 < correction.K[0, 2] / SIZE[1] < 0.7

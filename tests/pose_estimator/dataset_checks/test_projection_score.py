@@ -1,4 +1,4 @@
-"""The score of a projection against areas that are known."""
+"""The score of a projection against known areas."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def square(left: int, top: int, right: int, bottom: int) -> np.ndarray:
     return mask
 
 
-def test_in_its_place_and_elsewhere(plate):
+def test_score_at_and_off_the_true_pose(plate):
     evidence = Evidence.of_mask(square(135, 95, 185, 145), 1.0)
     assert evidence.score(plate, at(0, 0), K) > 0.93
     # Half of a side beside it: a third of the union is shared.
@@ -41,7 +41,7 @@ def test_in_its_place_and_elsewhere(plate):
     assert evidence.score(plate, make_transform(np.eye(3), np.array([0, 0, -1.0])), K) == 0
 
 
-def test_what_is_hidden_is_no_fault(plate):
+def test_occlusion_does_not_lower_the_score(plate):
     half = square(135, 95, 160, 145)
     assert Evidence.of_mask(half, 0.5).score(plate, at(0, 0), K) > 0.9
     assert Evidence.of_mask(half, 1.0).score(plate, at(0, 0), K) == pytest.approx(0.5, abs=0.05)
@@ -49,12 +49,12 @@ def test_what_is_hidden_is_no_fault(plate):
 
 
 @pytest.mark.parametrize("fraction", [0.5, 1.0])
-def test_what_is_outside_of_the_picture_may_count_or_not(plate, fraction):
+def test_pixels_outside_the_image_may_count_as_visible_or_not(plate, fraction):
     mask = square(0, 95, 25, 145)
     assert Evidence.of_mask(mask, fraction).score(plate, at(-0.32, 0), K) > 0.9
 
 
-def test_boxes_where_there_are_no_masks(plate):
+def test_score_of_boxes_without_masks(plate):
     box = np.array([135.0, 95, 185, 145])
     whole = Evidence(SHAPE, box, amodal=True)
     assert whole.score(plate, at(0, 0), K) > 0.95

@@ -106,7 +106,7 @@ def test_some_of_their_models_are_trained_under_names_of_ones_own(others: Path, 
 
 def test_a_split_that_is_not_there_is_answered_with_those_that_are(others, tmp_path, capsys):
     assert train(others, tmp_path) == 2
-    assert "there is test, train_real: say so with --split" in capsys.readouterr().err
+    assert "available with --split: test, train_real" in capsys.readouterr().err
 
 
 def test_our_own_data_is_of_our_thirteen(tmp_path: Path):
