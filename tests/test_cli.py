@@ -308,7 +308,7 @@ class Improving(KnownPose):
 def test_demo_writes_a_picture_and_the_errors(tmp_path, monkeypatch, capsys):
     T_cam_obj = np.eye(4)
     T_cam_obj[:3, 3] = 0.0, 0.0, 0.4  # nearer than any object is
-    monkeypatch.setattr(protocol, "_load", lambda method, device: Improving(T_cam_obj))
+    monkeypatch.setattr(protocol, "load_shipped", lambda method, device: Improving(T_cam_obj))
     picture, results = tmp_path / "demo.png", tmp_path / "demo.json"
     frames = []
     for _ in range(2):

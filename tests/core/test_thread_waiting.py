@@ -9,7 +9,7 @@ from two_view_pose.core import thread_waiting as waiting
 
 ASK = """
 import os
-from two_view_pose.pose_estimator import waiting
+from two_view_pose.core import thread_waiting as waiting
 print({name: os.environ[name] for name in waiting.VARIABLES if name in os.environ})
 print(waiting.how_threads_wait())
 """
