@@ -49,11 +49,11 @@ def record_bank(config: RecordBankConfig) -> None:
 
         record_real_bank(config)
     else:
-        _record_scenes(config)
+        record_scenes(config)
     describe(config.out, read_bank(config.out))
 
 
-def _record_scenes(config: RecordBankConfig) -> None:
+def record_scenes(config: RecordBankConfig) -> None:
     from ...core.worker_pool import run_scenes
     from ..datagen.dataset_folder import check_or_write_manifest
     from ..view_banks.bank import concatenate, read_arrays, write_bank

@@ -15,7 +15,7 @@ from two_view_pose.pose_estimator.networks import inference as inference_module
 from two_view_pose.pose_estimator.networks.inference import Inference
 
 
-def test_each_thread_computes_on_one_core_and_the_callers_stay_as_they_were():
+def test_pool_threads_use_one_core_each():
     before = torch.get_num_threads()
     pool = single_core_threads(3)
 
@@ -28,7 +28,7 @@ def test_each_thread_computes_on_one_core_and_the_callers_stay_as_they_were():
     pool.shutdown()
 
 
-def test_a_pool_is_kept():
+def test_pools_are_cached():
     assert shared_pool(2) is shared_pool(2)
     assert shared_pool(2) is not shared_pool(3)
 
@@ -53,7 +53,7 @@ def test_busy_processes_leave_fewer_idle_cores():
 
 
 @pytest.mark.parametrize("same", [True, False])
-def test_cores_share_what_is_alone_only_if_that_rounds_alike(networks, monkeypatch, same):
+def test_single_items_use_all_cores_only_if_bit_equal(networks, monkeypatch, same):
     """An item is computed in the caller's thread, on all its cores, or in one of the pool's."""
     inference = Inference(networks, threads=2)
     callers = threading.get_ident()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
+from two_view_pose.envs.protocol import resolve_estimator
 
 IDS = ("TwoViewPose-v0", "TwoViewPoseDiscrete-v0")
 
@@ -48,7 +49,7 @@ def test_same_seed_same_bytes_and_second_views_help():
 
 def test_batched_estimates_equal_single_ones():
     env = gym.make("TwoViewPose-v0", scene="clutter")
-    estimator = env.unwrapped._estimator
+    estimator = resolve_estimator("mid")
     requests = []
     for seed in range(5):
         env.reset(seed=seed)

@@ -50,7 +50,7 @@ def test_bank_equals_the_live_environment(config: RecordBankConfig) -> None:
 def test_a_finished_bank_is_not_recorded_again(
     config: RecordBankConfig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(module, "_record_scenes", lambda config: pytest.fail("recorded again"))
+    monkeypatch.setattr(module, "record_scenes", lambda config: pytest.fail("recorded again"))
     record_bank(config)
     record_bank(replace(config, verify=True))
     assert capsys.readouterr().out.count("checksum matches") == 2
