@@ -1,4 +1,9 @@
-"""Objects: thirteen of our own with LineMOD's names and sizes, and anyone's meshes."""
+"""Objects: thirteen that ship, with LineMOD's names and sizes, and users' meshes.
+
+``object_model`` is what the other rooms know about an object; ``storage`` its files;
+``mesh_import`` imports a mesh with ``surface``, ``surface_colors``, ``texture`` and ``mesh_cache``;
+``collage`` draws random textures. ``objects``, ``weights`` and ``agents`` are data.
+"""
 
 from __future__ import annotations
 
@@ -13,36 +18,24 @@ from .storage import read_object
 
 __all__ = ["OBJECT_NAMES", "ObjectModel", "load_object", "load_objects", "split_name"]
 
-OBJECT_NAMES: tuple[str, ...] = (
-    "ape",
-    "benchvise",
-    "cam",
-    "can",
-    "cat",
-    "driller",
-    "duck",
-    "eggbox",
-    "glue",
-    "holepuncher",
-    "iron",
-    "lamp",
-    "phone",
-)
+_LINEMOD = "ape benchvise cam can cat driller duck eggbox glue holepuncher iron lamp phone"
+
+OBJECT_NAMES: tuple[str, ...] = tuple(_LINEMOD.split())
 """The thirteen objects that ship, in LineMOD's order."""
 
 _FOLDER = Path(__file__).parent / "objects"
 
 
 def load_object(name_or_path: str | Path) -> ObjectModel:
-    """One object; the second call for the same one returns the same instance.
+    """Loads an object, cached.
 
     Args:
         name_or_path: one of ``OBJECT_NAMES``, a mesh file (PLY, OBJ, STL, GLB) or the folder of a
-            built object (model.glb and object.json). "NAME=PATH" calls the object of a path so.
+            built object (model.glb and object.json). "NAME=PATH" sets the name.
 
     Raises:
         InputError: if it is neither a known name nor a path, or the file is not a usable mesh.
-        FileNotFoundError: if it is a path to nothing.
+        FileNotFoundError: if the path does not exist.
     """
     if str(name_or_path) in OBJECT_NAMES:
         return _load_shipped(str(name_or_path))
@@ -61,7 +54,7 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
 
 
 def split_name(name_or_path: str | Path) -> tuple[str | None, Path]:
-    """Parts "NAME=PATH"; the name is None where there is none, or a path itself holds an "="."""
+    """Splits "NAME=PATH"; the name is None without one, or if the path itself has an "="."""
     name, equals, path = str(name_or_path).partition("=")
     if equals and name.isidentifier() and not Path(name_or_path).exists():
         return name, Path(path)
@@ -72,11 +65,11 @@ def load_objects(
     spec: str | Path | Iterable[str | Path] | None = None,
     load: Callable[[str | Path], ObjectModel] = load_object,
 ) -> dict[str, ObjectModel]:
-    """Several objects by name.
+    """Loads several objects by name.
 
     Args:
-        spec: names and paths in any mix, one of them, a folder of meshes, or None for the thirteen.
-        load: what loads each of them.
+        spec: names and paths, one of them, a folder of meshes, or None for the thirteen.
+        load: loads one object.
 
     Raises:
         InputError: if two objects have the same name, ``spec`` is empty, or as `load_object`.
@@ -90,7 +83,7 @@ def load_objects(
         for part in _expand(item):
             model = load(part)
             if model.name in models:
-                raise InputError(f"two objects are called {model.name!r}; rename a file")
+                raise InputError(f"two objects have the name {model.name!r}; rename a file")
             models[model.name] = model
     if not models:
         raise InputError("objects is empty: name at least one object or mesh file")
@@ -98,7 +91,7 @@ def load_objects(
 
 
 def _expand(item: str | Path) -> list[str | Path]:
-    """A folder of meshes becomes its files; anything else stays as it is."""
+    """Expands a folder of meshes to its files."""
     path = Path(item)
     if str(item) in OBJECT_NAMES or not path.is_dir() or (path / "object.json").is_file():
         return [item]
@@ -107,13 +100,11 @@ def _expand(item: str | Path) -> list[str | Path]:
     built = sorted(folder.parent for folder in path.glob("*/object.json"))
     meshes = sorted(file for file in path.iterdir() if file.suffix.lower() in MESH_SUFFIXES)
     if not built and not meshes:
-        raise InputError(
-            f"{path} holds no mesh: expected files ending in {', '.join(MESH_SUFFIXES)}"
-        )
+        raise InputError(f"{path} has no mesh files ({', '.join(MESH_SUFFIXES)})")
     return [*built, *meshes]
 
 
 @cache
 def _load_shipped(name: str) -> ObjectModel:
-    """One of the thirteen, once for each process."""
+    """Loads one of the thirteen, once per process."""
     return read_object(_FOLDER / name)

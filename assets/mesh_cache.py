@@ -1,10 +1,9 @@
-"""Imported meshes kept on the disk: what took a second or two is read back in milliseconds.
+"""Disk cache of imported meshes: reading takes milliseconds, an import a second or two.
 
-An entry's name is the digest of all that its content depends on: the mesh file's bytes, the options
-of the import, the version of its code and the libraries that do it. So nothing ever goes out of
-date, and an entry that is read back is the imported object to the bit. The folder is
-``$XDG_CACHE_HOME/two_view_pose/meshes`` (``~/.cache`` where that is not set); it may be deleted at
-any time, and where it cannot be written or read, meshes are imported every time.
+The key is the digest of everything that the import depends on: the mesh file's bytes, the options,
+and the versions of our code and its libraries. Entries are bit-exact. The folder is
+``$XDG_CACHE_HOME/two_view_pose/meshes`` (default ``~/.cache``); it can be deleted at any time, and
+without access to it every import runs.
 """
 
 from __future__ import annotations
@@ -27,21 +26,16 @@ from .object_model import ObjectModel
 _LIBRARIES = ("fast-simplification", "networkx", "numpy", "pillow", "scipy", "trimesh", "xatlas")
 
 _POINTERS = (b"mtllib", b"TextureFile", b'"uri"')
-"""What stands in an OBJ, a PLY or a GLB file that takes its colors from other files."""
+"""Bytes in OBJ, PLY and GLB files that refer to other files for colors."""
 
 
 def cached(key: str | None, make: Callable[[], ObjectModel]) -> ObjectModel:
-    """The object that is kept under ``key``, else ``make()``, which is then kept.
-
-    Args:
-        key: from `mesh_key`; None keeps nothing.
-        make: imports the object; what it raises is raised.
-    """
+    """Returns the entry of ``key`` (from `mesh_key`; None: no cache), else stores ``make()``."""
     folder = cache_folder() if key is not None else None
     if folder is None:
         return make()
     path = folder / f"{key}.npz"
-    # An entry that is missing, cut off or no entry at all is simply replaced.
+    # Missing and corrupted entries are replaced.
     with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return _unpack(path.read_bytes())
     model = make()
@@ -51,14 +45,11 @@ def cached(key: str | None, make: Callable[[], ObjectModel]) -> ObjectModel:
 
 
 def mesh_key(path: Path, options: object) -> str | None:
-    """The digest of all that the import of a mesh depends on; None if that cannot be told.
+    """The key of an import; None if the mesh refers to other files (materials, textures).
 
     Args:
-        path: the mesh file. One that refers to other files (materials, textures) has no key.
-        options: of the import, and the version of its code; their ``repr`` counts.
-
-    Raises:
-        OSError: if a file cannot be read.
+        path: the mesh file.
+        options: of the import, and the version of its code; must have a stable ``repr``.
     """
     content = path.read_bytes()
     if any(pointer in content for pointer in _POINTERS):
@@ -70,7 +61,7 @@ def mesh_key(path: Path, options: object) -> str | None:
 
 
 def cache_folder() -> Path | None:
-    """Where entries lie; None where the user has no home. It need not exist."""
+    """The folder of the entries, which may not exist; None without a home directory."""
     named = os.environ.get("XDG_CACHE_HOME", "")
     if os.path.isabs(named):  # the specification says to ignore others
         return Path(named) / "two_view_pose" / "meshes"
@@ -87,12 +78,7 @@ def _pack(model: ObjectModel) -> bytes:
 
 
 def _unpack(content: bytes) -> ObjectModel:
-    """The object that `_pack` wrote; arrays keep their types and every bit.
-
-    Raises:
-        InputError: or KeyError, EOFError, zipfile.BadZipFile, if it is no such thing.
-    """
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         values = {field.name: arrays[field.name] for field in fields(ObjectModel)}
-    # Numbers and text come back as arrays without axes.
+    # Numbers and text are read as arrays of shape ().
     return ObjectModel(**{k: v if v.ndim else v.item() for k, v in values.items()})

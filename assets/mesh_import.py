@@ -1,8 +1,7 @@
-"""Anyone's mesh as an object: one texture, meters, few enough triangles, keypoints, resting poses.
+"""Imports a mesh file as an object: meters, decimated, one texture, keypoints, stable poses.
 
-Per-vertex colors, per-face colors and textures are all read as colors of points spread densely
-over the original surface, and baked from there. So the mesh may be thinned out, cut into charts
-and put together from many parts without a thought for where its colors came from.
+Per-vertex colors, per-face colors and textures are all sampled at dense points on the original
+surface and baked from there, so welding, decimation and unwrapping need not know about colors.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ from .object_model import ObjectModel
 from .surface_colors import NORMAL_WEIGHT, sample_colors
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb")
-"""What `import_mesh` reads."""
+"""File types of `import_mesh`."""
 
 MAX_FACES = 4000
-"""Heavier meshes are thinned out; the renderer's time goes with the number of faces."""
+"""Larger meshes are decimated; rendering time is proportional to the number of faces."""
 
 TEXTURE_SIZE = 512
 UNITS = {"m": 1.0, "mm": 1e-3}
@@ -36,7 +35,7 @@ UNITS = {"m": 1.0, "mm": 1e-3}
 _METERS = (0.02, 1.0)
 _MILLIMETERS = (20.0, 1000.0)
 PLAUSIBLE_RANGE = (1e-3, 10.0)
-"""Diameters of objects, meters."""
+"""Allowed diameters, meters."""
 
 
 def import_mesh(
@@ -47,27 +46,24 @@ def import_mesh(
     symmetries: np.ndarray | None = None,
     diameter: float | None = None,
 ) -> ObjectModel:
-    """Reads a mesh file; the second call with the same arguments returns the same instance.
+    """Imports a mesh file, cached in the process and on disk (`mesh_cache`).
 
-    Other processes, and later ones, find the result on the disk: see `mesh_cache`.
-
-    The object keeps the file's own frame, only scaled to meters, so that poses mean what they mean
-    for the file. The ninth keypoint is the center of the bounding box.
+    The object keeps the file's own frame, scaled to meters, so poses refer to that frame. The ninth
+    keypoint is the center of the bounding box.
 
     Args:
         path: PLY, OBJ, STL or GLB; all parts of a scene become one object.
-        name: of the object; the file's name without ending by default.
-        unit: "m", "mm", or "auto": a diameter of 0.02 to 1 is taken as meters, of 20 to 1000 as
-            millimeters.
+        name: of the object; by default the file's stem.
+        unit: "m", "mm", or "auto": a diameter of 0.02 to 1 means meters, of 20 to 1000 millimeters.
         symmetries: (S, 4, 4) transforms in meters under which the object looks the same.
-        diameter: of the object as others measure it, meters; by default the largest distance
-            between two vertices, from which it may differ by a tenth.
+        diameter: meters; by default the largest distance between two vertices, from which it may
+            differ by 10 %.
 
     Raises:
         FileNotFoundError: if there is no such file.
-        InputError: if the file is no readable mesh, has no faces or NaN vertices, if its unit is
-            not evident or its size implausible or not that of ``diameter``, or ``symmetries``
-            are not rigid transforms.
+        InputError: if the file is not a readable mesh, has no faces or NaN vertices, if its unit is
+            ambiguous or its size implausible or not that of ``diameter``, or ``symmetries`` are not
+            rigid transforms.
     """
     path = Path(path)
     if not path.is_file():
@@ -77,11 +73,11 @@ def import_mesh(
     given = None if symmetries is None else _check_symmetries(symmetries)
     state = path.stat()
     options = (name, unit, given, diameter)
-    return _import(path.resolve(), *options, state.st_mtime_ns, state.st_size)
+    return import_cached(path.resolve(), *options, state.st_mtime_ns, state.st_size)
 
 
 @lru_cache(maxsize=64)
-def _import(
+def import_cached(
     path: Path,
     name: str | None,
     unit: str,
@@ -90,20 +86,20 @@ def _import(
     modified: int,
     size: int,
 ) -> ObjectModel:
-    """Imports or finds what was; ``modified`` and ``size`` make a changed file another entry."""
+    """Caches imports; ``modified`` and ``size`` are part of the key."""
     options = (name, unit, symmetries, diameter)
     key = mesh_key(path, (*options, MAX_FACES, TEXTURE_SIZE, CACHE_VERSION))
-    return cached(key, lambda: _make(path, *options))
+    return cached(key, lambda: import_uncached(path, *options))
 
 
 CACHE_VERSION = 1
-"""Of what `_make` returns: raise it with every change to that, so that no old entry is found."""
+"""Increment it with every change to what `import_uncached` returns."""
 
 
-def _make(
+def import_uncached(
     path: Path, name: str | None, unit: str, symmetries: bytes | None, diameter: float | None
 ) -> ObjectModel:
-    """Imports."""
+    """Imports without a cache."""
     parts = _read_parts(path)
     measured = surface.diameter(np.concatenate([part.triangles.reshape(-1, 3) for part in parts]))
     scale = _scale(measured, unit, path)
@@ -121,7 +117,7 @@ def _make(
         mesh.fix_normals()
     mesh = _decimate(mesh)
     points, normals, colors = sample_colors(parts)
-    # Normals tell the two sides of a thin wall apart, where the file has them right.
+    # Normals distinguish the two sides of a thin wall, if the file's are right.
     reach = NORMAL_WEIGHT * measured * scale if outward else 0.0
     tree = KDTree(np.concatenate([points, reach * normals], axis=1))
 
@@ -151,13 +147,13 @@ def _make(
 
 
 def _read_parts(path: Path) -> list[trimesh.Trimesh]:
-    """All meshes of a file in its own frame and unit, each with its colors."""
+    """Reads and validates all meshes of a file, in its own frame and unit, with their colors."""
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(f"{path.name} must be one of {', '.join(MESH_SUFFIXES)}")
     try:
         scene = trimesh.load_scene(path, process=False)
         parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
-    except Exception as error:  # readers of broken files fail in every way there is
+    except Exception as error:  # readers raise all kinds of errors
         raise InputError(f"{path} cannot be read as a mesh: {error!r}") from error
     parts = [part for part in parts if len(part.faces)]
     if not parts:
@@ -167,7 +163,7 @@ def _read_parts(path: Path) -> list[trimesh.Trimesh]:
             bad = int((~np.isfinite(part.vertices).all(axis=1)).sum())
             raise InputError(f"{path} has NaN or infinite coordinates in {bad} vertices")
         if part.faces.min() < 0 or part.faces.max() >= len(part.vertices):
-            raise InputError(f"{path} has faces with vertices that it does not have")
+            raise InputError(f"{path} has faces with vertex indices out of range")
     corners = np.concatenate([part.triangles.reshape(-1, 3) for part in parts])
     spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
     if spread[2] <= 1e-6 * spread[0]:
@@ -176,16 +172,15 @@ def _read_parts(path: Path) -> list[trimesh.Trimesh]:
 
 
 def _scale(diameter: float, unit: str, path: Path) -> float:
-    """What the file's numbers are multiplied with to be meters."""
+    """Factor from the file's unit to meters."""
     if unit == "auto":
         for guess, (low, high) in (("m", _METERS), ("mm", _MILLIMETERS)):
             if low <= diameter <= high:
                 return UNITS[guess]
         raise InputError(
-            f"the unit of {path} is not evident: its diameter is {diameter:g}, and "
-            f"{_METERS[0]:g} to {_METERS[1]:g} would be meters, {_MILLIMETERS[0]:g} to "
-            f"{_MILLIMETERS[1]:g} millimeters; say unit='m' or unit='mm' to import_mesh, or scale "
-            "the file"
+            f"the unit of {path} is ambiguous: its diameter is {diameter:g}, and {_METERS[0]:g} to "
+            f"{_METERS[1]:g} means meters, {_MILLIMETERS[0]:g} to {_MILLIMETERS[1]:g} millimeters; "
+            "pass unit='m' or unit='mm' to import_mesh, or scale the file"
         )
     meters = diameter * UNITS[unit]
     if not PLAUSIBLE_RANGE[0] <= meters <= PLAUSIBLE_RANGE[1]:
@@ -197,7 +192,7 @@ def _scale(diameter: float, unit: str, path: Path) -> float:
 
 
 def _weld(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """One mesh without colors; vertices at one place become one."""
+    """Merges the parts and their duplicate vertices to one mesh without colors."""
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
     vertices = np.concatenate([part.vertices for part in parts])
     faces = np.concatenate([part.faces + o for part, o in zip(parts, offsets, strict=False)])
@@ -212,9 +207,9 @@ def _decimate(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     if len(mesh.faces) <= MAX_FACES:
         return mesh
     size = float(mesh.extents.max())  # the collapse's thresholds are lengths
-    for pace in (3.0, 5.0, 7.0):
+    for aggressiveness in (3.0, 5.0, 7.0):
         vertices, faces = fast_simplification.simplify(
-            mesh.vertices / size, mesh.faces, target_count=MAX_FACES, agg=pace
+            mesh.vertices / size, mesh.faces, target_count=MAX_FACES, agg=aggressiveness
         )
         decimated = trimesh.Trimesh(vertices * size, faces)
         decimated.update_faces(decimated.nondegenerate_faces(height=0.0))
@@ -225,13 +220,13 @@ def _decimate(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _number(stem: str) -> int:
-    """BOP's number in names like obj_000005; for others one of six digits made from the name."""
+    """BOP's number in names like obj_000005; otherwise a six-digit hash of the name."""
     match = re.fullmatch(r"obj_(\d+)", stem)
     return int(match[1]) if match else 100_000 + zlib.crc32(stem.encode()) % 900_000
 
 
 def _check_symmetries(symmetries: np.ndarray) -> bytes:
-    """Rigid transforms (S, 4, 4), identity first, as bytes: a key for the cache."""
+    """Validates transforms (S, 4, 4); returns them, identity first, as hashable bytes."""
     array = np.asarray(symmetries, dtype=np.float64)
     if array.ndim != 3 or array.shape[1:] != (4, 4) or not len(array):
         raise InputError(f"symmetries must have the shape (S, 4, 4), got {array.shape}")

@@ -1,6 +1,6 @@
-"""Objects as files: ``model.glb`` for every mesh viewer, ``object.json`` for exact numbers.
+"""Files of an object: ``model.glb``, which mesh viewers open, and ``object.json``.
 
-An object whose surface must not be passed on is ``object.json`` alone, with its bounding box.
+An object whose mesh may not be redistributed is ``object.json`` only, with its bounding box.
 """
 
 from __future__ import annotations
@@ -28,16 +28,15 @@ _SCALARS = ("name", "obj_id", "diameter", "specular", "shininess")
 
 
 def save_object(model: ObjectModel, folder: str | Path, *, surface: bool = True) -> None:
-    """Writes an object so that the same object gives the same bytes.
+    """Writes an object with reproducible bytes.
 
     The mesh is stored in the object's own frame, z up, in meters and single precision; the
     texture is a PNG inside the GLB.
 
     Args:
         model: the object.
-        folder: made if it does not exist.
-        surface: whether to store mesh, texture and points of the surface. Without, keypoints,
-            symmetries, diameter and bounding box are all that is left.
+        folder: created if it does not exist.
+        surface: False stores only keypoints, symmetries, diameter and bounding box.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -56,7 +55,7 @@ def save_object(model: ObjectModel, folder: str | Path, *, surface: bool = True)
 
 
 def _glb(model: ObjectModel) -> bytes:
-    """The mesh with its texture as a GLB file."""
+    """The textured mesh as a GLB file."""
     material = trimesh.visual.material.PBRMaterial(
         baseColorTexture=Image.fromarray(model.texture),
         metallicFactor=0.0,
@@ -74,11 +73,11 @@ def _glb(model: ObjectModel) -> bytes:
 
 
 def read_object(folder: str | Path) -> ObjectModel:
-    """Reads what ``save_object`` wrote.
+    """Reads the files of :func:`save_object`.
 
     Raises:
         FileNotFoundError: if one of the two files is missing.
-        InputError: if a file is damaged or of an unknown format.
+        InputError: if a file is corrupted or of an unknown format.
     """
     folder = Path(folder)
     if not (folder / NUMBERS_FILE).is_file():
@@ -101,7 +100,7 @@ def read_object(folder: str | Path) -> ObjectModel:
 
 
 def _without_surface(bounds: np.ndarray, known: dict[str, Any]) -> ObjectModel:
-    """An object whose bounding box, from ``bounds`` (2, 3), stands for the surface."""
+    """An object with its bounding box, from ``bounds`` (2, 3), in place of the mesh."""
     box = trimesh.creation.box(bounds=bounds)
     return ObjectModel(
         vertices=np.asarray(box.vertices, dtype=np.float64),
@@ -117,10 +116,10 @@ def _without_surface(bounds: np.ndarray, known: dict[str, Any]) -> ObjectModel:
 def _read_glb(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Vertices, faces, uv and texture of the one mesh in a GLB file."""
     (mesh,) = trimesh.load_scene(path, process=False).geometry.values()
-    picture = mesh.visual.material.baseColorTexture.convert("RGB")
+    texture = mesh.visual.material.baseColorTexture.convert("RGB")
     return (
         np.asarray(mesh.vertices, dtype=np.float64),
         np.asarray(mesh.faces, dtype=np.int32),
         np.asarray(mesh.visual.uv, dtype=np.float32),
-        np.array(picture),
+        np.array(texture),
     )

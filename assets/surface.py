@@ -1,4 +1,4 @@
-"""What pose estimation asks of a surface: keypoints, even points, diameter, resting poses."""
+"""Properties of a surface: keypoints, evenly spaced points, diameter, stable poses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull, distance
 from ..core.geometry import make_transform, transform
 
 KEYPOINT_COUNT = 9
-"""Eight on the surface and the center of the frame."""
+"""Eight on the surface and the center."""
 
 POINT_COUNT = 1000
 POINT_SEED = 0
@@ -22,7 +22,7 @@ def farthest_points(points: np.ndarray, count: int, start: int) -> np.ndarray:
     """Farthest point sampling: indices (count,) into points (N, 3), the first being ``start``."""
     chosen = np.empty(count, dtype=int)
     nearest = np.full(len(points), np.inf)
-    x, y, z = np.ascontiguousarray(points.T)  # whole columns at once: five times as fast
+    x, y, z = np.ascontiguousarray(points.T)  # contiguous columns are five times as fast
     index = start
     for k in range(count):
         chosen[k] = index
@@ -38,14 +38,14 @@ def keypoints(
     """PVNet's keypoints (9, 3): farthest point sampling over the surface, then the center.
 
     Peng et al., "PVNet: Pixel-wise Voting Network for 6DoF Pose Estimation", CVPR 2019, section
-    3.1. Deterministic: the first keypoint is the vertex farthest from the center. For a symmetric
-    object each chosen vertex brings its images under the symmetries, so that a symmetry only
-    renumbers the keypoints and two views can be brought to agree.
+    3.1. The first keypoint is the vertex farthest from the center. For a symmetric object the
+    images of each chosen vertex under the symmetries are keypoints too, so a symmetry only permutes
+    the keypoints.
 
     Args:
         vertices: (V, 3).
-        center: (3,), becomes the ninth keypoint and steers nothing but the first choice.
-        symmetries: (S, 4, 4), identity first; used where S divides eight.
+        center: (3,), the ninth keypoint.
+        symmetries: (S, 4, 4), identity first; used if S divides eight.
     """
     start = int(np.sum((vertices - center) ** 2, axis=1).argmax())
     count = KEYPOINT_COUNT - 1
@@ -53,7 +53,7 @@ def keypoints(
         return np.concatenate([vertices[farthest_points(vertices, count, start)], center[None]])
     images = vertices @ symmetries[1:, :3, :3].transpose(0, 2, 1) + symmetries[1:, None, :3, 3]
     travel = np.linalg.norm(images - vertices, axis=2).min(axis=0)
-    # A vertex on the axis is its own image, and would become the same keypoint twice.
+    # A vertex on the axis is its own image and would be the same keypoint twice.
     vertices = vertices[travel > 0.1 * np.linalg.norm(np.ptp(vertices, axis=0))]
     start = int(np.sum((vertices - center) ** 2, axis=1).argmax())
     chosen: list[np.ndarray] = []
@@ -68,7 +68,7 @@ def keypoints(
 
 
 def even_points(mesh: trimesh.Trimesh, count: int = POINT_COUNT) -> np.ndarray:
-    """Points (count, 3) spread evenly over the surface, rounded to a micrometer."""
+    """Evenly spaced points (count, 3) on the surface, rounded to a micrometer."""
     dense, _ = trimesh.sample.sample_surface(mesh, 15 * count, seed=POINT_SEED)
     dense = np.asarray(dense)
     return np.round(dense[farthest_points(dense, count, 0)], 6)
@@ -83,7 +83,7 @@ def diameter(vertices: np.ndarray) -> float:
 
 
 def center_of_mass(mesh: trimesh.Trimesh) -> np.ndarray:
-    """Center of mass (3,) of the solid; of its convex hull where the mesh is not closed."""
+    """Center of mass (3,); of the convex hull if the mesh is not closed."""
     solid = mesh if mesh.is_watertight and mesh.volume > 0 else mesh.convex_hull
     return np.asarray(solid.center_mass)
 
@@ -91,16 +91,14 @@ def center_of_mass(mesh: trimesh.Trimesh) -> np.ndarray:
 def support_margin(
     mesh: trimesh.Trimesh, tolerance: float, T_table_obj: np.ndarray | None = None
 ) -> float:
-    """How safely the mesh stands, +z up.
+    """Distance (m) from the center of mass to the border of the support polygon, +z up.
+
+    It is negative outside the polygon: the object tips over.
 
     Args:
         mesh: in the object frame.
         tolerance: vertices this close to the lowest one touch the ground (m).
-        T_table_obj: (4, 4), how it stands; None: as it is.
-
-    Returns:
-        Distance in the plane (m) from the center of mass to the border of the support polygon,
-        negative when it lies outside: the object tips over.
+        T_table_obj: (4, 4); None: identity.
     """
     T = np.eye(4) if T_table_obj is None else T_table_obj
     vertices, weight = transform(T, mesh.vertices), transform(T, center_of_mass(mesh))
@@ -114,14 +112,14 @@ def support_margin(
 def stable_poses(mesh: trimesh.Trimesh, max_tilt: float = 0.1) -> np.ndarray:
     """Poses T_table_obj (N, 4, 4) in which the object rests on z = 0.
 
-    The first is upright (+z up), if the object can stand like that within ``max_tilt``; the
-    others, at most eleven, follow in order of falling probability (quasi-static probabilities of
-    Goldberg et al., "Part pose statistics", IJRR 1999).
+    The first is upright (+z up) if the object can stand so; at most eleven others follow in order
+    of decreasing probability (quasi-static probabilities of Goldberg et al., "Part pose
+    statistics", IJRR 1999).
 
     Args:
         mesh: in the object frame, meters.
-        max_tilt: largest angle (rad) between +z and the vertical that still is upright. An object
-            that stands with no tilt at all gets exactly the identity rotation.
+        max_tilt: maximum angle (rad) between +z and the vertical of an upright pose. Without any
+            tilt the rotation is exactly the identity.
     """
     hull = mesh.convex_hull
     transforms, probabilities = trimesh.poses.compute_stable_poses(
@@ -143,7 +141,7 @@ def stable_poses(mesh: trimesh.Trimesh, max_tilt: float = 0.1) -> np.ndarray:
 
 
 def _on_the_table(rotation: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Rotates, puts the middle over the table's origin and lets the lowest point touch z = 0."""
-    turned = vertices @ rotation.T
-    low, high = turned.min(axis=0), turned.max(axis=0)
+    """The pose with the center over the table's origin and the lowest point at z = 0."""
+    rotated = vertices @ rotation.T
+    low, high = rotated.min(axis=0), rotated.max(axis=0)
     return make_transform(rotation, -np.array([*(low + high)[:2] / 2, low[2]]))

@@ -1,4 +1,4 @@
-"""The colors of a mesh, however it stores them, as colors of points on its surface."""
+"""Samples the colors of a mesh at surface points, for every way to store colors."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import trimesh
 
 from .texture import sample_texture
 
-PLAIN = np.array([0.62, 0.62, 0.62])
-"""Color of a mesh that has none, RGB in [0, 1]."""
+DEFAULT_COLOR = np.array([0.62, 0.62, 0.62])
+"""Of a mesh without colors, RGB in [0, 1]."""
 
 NORMAL_WEIGHT = 0.05
-"""A normal's length in object diameters, for searches over position and normal together."""
+"""Length of a normal in object diameters, for nearest-neighbor search over both."""
 
 _SAMPLES = 150_000
 _SEED = 0
@@ -22,11 +22,11 @@ _SEED = 0
 def sample_colors(
     parts: Sequence[trimesh.Trimesh], count: int = _SAMPLES
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Spreads points over all parts, by area, and reads the color under each.
+    """Samples surface points of all parts, proportional to area, with their colors.
 
     Args:
-        parts: meshes with per-vertex colors, per-face colors, a texture, or nothing.
-        count: about how many points in all; each part gets at least a few.
+        parts: meshes with per-vertex colors, per-face colors, a texture, or no colors.
+        count: approximate number of points.
 
     Returns:
         Points (N, 3), unit normals (N, 3) and RGB colors (N, 3) in [0, 1].
@@ -72,13 +72,13 @@ def _colors(part: trimesh.Trimesh, face: np.ndarray, weights: np.ndarray) -> np.
         return np.einsum("nk,nki->ni", weights, rgb[part.faces[face]])
     if visual is not None and visual.kind == "face":
         return np.asarray(visual.face_colors)[face, :3] / 255.0
-    return np.tile(PLAIN, (len(face), 1))
+    return np.tile(DEFAULT_COLOR, (len(face), 1))
 
 
 def _image_and_factor(
     material: trimesh.visual.material.Material,
 ) -> tuple[np.ndarray | None, np.ndarray]:
-    """A material's RGB texture (H, W, 3) uint8 or None, and the color it is multiplied with."""
+    """A material's RGB texture (H, W, 3) uint8 or None, and the color that multiplies it."""
     if isinstance(material, trimesh.visual.material.PBRMaterial):
         image = material.baseColorTexture
         factor = material.baseColorFactor
@@ -87,6 +87,6 @@ def _image_and_factor(
             color = color / 255.0
     else:
         image = getattr(material, "image", None)
-        # Exporters write any diffuse color beside a texture, and viewers then ignore it.
+        # With a texture, exporters write any diffuse color, and viewers ignore it.
         color = np.ones(3) if image is not None else np.asarray(material.main_color[:3]) / 255.0
     return (None if image is None else np.asarray(image.convert("RGB"))), color

@@ -1,9 +1,7 @@
-"""One UV texture for any surface: unwrapping, and baking a color function into an atlas.
+"""UV unwrapping, and baking a color function into a texture atlas.
 
-MuJoCo draws colors from a texture only, and a mesh may bring its colors per vertex, per face, in
-a texture of its own or (our thirteen objects) as a function of the place on the surface. All of
-them are a function from surface points to colors here, and that function is sampled at every
-texel of one atlas.
+MuJoCo needs one texture. Colors per vertex, per face or in other textures are all functions from
+surface points to colors here, which are sampled at every texel of the atlas.
 """
 
 from __future__ import annotations
@@ -33,7 +31,7 @@ def unwrap(
 
     Args:
         mesh: any triangle mesh.
-        size: side of the texture in texels that the padding is meant for.
+        size: side of the texture in texels, for the padding.
         tight: search longer for the best packing.
 
     Returns:
@@ -41,7 +39,7 @@ def unwrap(
         order of the mesh's faces, ``uv`` (V, 2) float32 in [0, 1], v up.
     """
     atlas = xatlas.Atlas()
-    # Charting works with areas and lengths of about one, whatever the unit of the mesh.
+    # Charting expects areas and lengths of about one.
     scaled = (mesh.vertices - mesh.bounds.mean(axis=0)) / mesh.extents.max()
     normals = mesh.vertex_normals
     atlas.add_mesh(
@@ -76,14 +74,13 @@ def bake(
         vertices: (V, 3) positions.
         faces: (F, 3) indices into ``vertices``.
         uv: (V, 2) texture coordinates, v up.
-        color_at: called once with the surface points and face normals under the covered texels.
+        color_at: called once with the surface points and face normals of the covered texels.
         size: side of the texture in texels.
-        supersampling: how many samples along each side of a texel are averaged; 1 does for colors
-            without sharp borders.
+        supersampling: samples along each side of a texel; 1 is enough for smooth colors.
 
     Returns:
-        (size, size, 3) uint8 RGB, row 0 at v = 1. Texels that no chart covers carry the color of
-        the nearest one that is covered.
+        (size, size, 3) uint8 RGB, row 0 at v = 1. Uncovered texels have the color of the nearest
+        covered one.
 
     Raises:
         InputError: if no texel is covered, or ``color_at`` returns a wrong shape.
@@ -99,7 +96,7 @@ def bake(
     colors = np.asarray(color_at(points, directions / np.maximum(length, 1e-300)))
     if colors.shape != points.shape:
         raise InputError(
-            f"color_at must return one RGB color a point, {points.shape}, got {colors.shape}"
+            f"color_at must return one RGB color per point, {points.shape}, got {colors.shape}"
         )
     image = np.zeros((fine, fine, 3))
     covered = np.zeros((fine, fine), dtype=bool)
@@ -155,5 +152,5 @@ def rasterize(
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """z of the cross product of plane vectors (N, 2)."""
+    """z of the cross product of 2D vectors (N, 2)."""
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

@@ -1,0 +1,7 @@
+"""What every other room may use: geometry, files, devices and processes.
+
+``geometry`` has the conventions for frames, units and pixels; ``errors`` and ``validation`` the
+input errors; ``results`` and ``files`` what commands write; ``device``, ``processor``,
+``cpu_cores``, ``thread_pools`` and ``thread_waiting`` the hardware; ``worker_pool`` and ``memory``
+processes; ``plotting``, ``images``, ``image_crop`` and ``pose_noise`` the rest.
+"""

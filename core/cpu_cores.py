@@ -1,17 +1,17 @@
-"""The processor's cores, and what Linux says of them."""
+"""CPU cores: available and idle ones, and /proc/cpuinfo."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
-_CPUINFO = Path("/proc/cpuinfo")
+CPUINFO = Path("/proc/cpuinfo")
 
 
 def cpuinfo() -> dict[str, str]:
-    """What Linux says of the first core; empty elsewhere."""
+    """/proc/cpuinfo of the first core; empty where there is none."""
     try:
-        lines = _CPUINFO.read_text().split("\n\n")[0].splitlines()
+        lines = CPUINFO.read_text().split("\n\n")[0].splitlines()
     except OSError:
         return {}
     pairs = (line.partition(":") for line in lines)
@@ -19,17 +19,14 @@ def cpuinfo() -> dict[str, str]:
 
 
 def available_cores() -> int:
-    """Cores that this process may use, which a container may have fewer of than the machine."""
+    """Cores that this process may use; in a container possibly fewer than the machine has."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def idle_cores() -> int:
-    """Cores that this process may use and no other process does just now; at least 1.
-
-    Where the system does not tell what runs (anywhere but on Linux), all cores count as idle.
-    """
+    """Available cores that no other process uses now, at least 1; all of them except on Linux."""
     try:
         running = int(Path("/proc/loadavg").read_text().split()[3].split("/")[0])
         own = sum(map(_runs, Path("/proc/self/task").iterdir()))
@@ -40,7 +37,7 @@ def idle_cores() -> int:
 
 
 def _runs(thread: Path) -> bool:
-    """Whether a thread of this process runs now; one that just ended does not."""
+    """Whether a thread of this process is running."""
     try:
         return (thread / "stat").read_text().rpartition(")")[2].split()[0] == "R"
     except OSError:

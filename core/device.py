@@ -1,4 +1,4 @@
-"""Where networks run: a processor's cores, one GPU or another; and in which number format."""
+"""The device on which networks run, and whether it is fast in bfloat16."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
     import torch
 
 DEVICES = "auto, cpu, cuda, cuda:N or mps"
-"""What :func:`resolve_device` knows, for messages."""
+"""Devices of :func:`resolve_device`, for messages."""
 
 BFLOAT16_FLAGS = frozenset({"avx512_bf16", "amx_bf16"})
-"""Instructions that multiply bfloat16 matrices, as Linux names them."""
+"""CPU flags of instructions that multiply bfloat16 matrices, as Linux names them."""
 
 
 def resolve_device(device: str | torch.device = "auto") -> torch.device:
-    """The device that a name means.
+    """Returns the torch device for a name.
 
     Args:
         device: ``auto`` (a CUDA GPU, else Apple's, else the processor), ``cpu``, ``cuda``,
             ``cuda:N`` or ``mps``.
 
     Raises:
-        InputError: if there is no such device on this machine, or no such name.
+        InputError: if the name is unknown or this machine has no such device.
     """
     import torch
 
@@ -49,7 +49,7 @@ def resolve_device(device: str | torch.device = "auto") -> torch.device:
 
 
 def check_device(device: str) -> None:
-    """Refuses a device that is not there, before anything slow; imports torch only to look for one.
+    """Checks early that a device exists; imports torch only if needed.
 
     Raises:
         InputError: see :func:`resolve_device`.
@@ -74,11 +74,11 @@ def _check_cuda(device: torch.device) -> None:
         )
     if device.index is not None and device.index >= count:
         names = ", ".join(f"cuda:{number}" for number in range(count))
-        raise InputError(f"device {str(device)!r}: there is no such GPU; there are {names}")
+        raise InputError(f"device {str(device)!r}: this machine has {names}")
 
 
 def describe(device: torch.device) -> str:
-    """A device in words: a GPU's name, or the number format of a processor."""
+    """The device, with a GPU's name."""
     import torch
 
     if device.type == "cuda":
@@ -87,7 +87,7 @@ def describe(device: torch.device) -> str:
 
 
 def uses_bfloat16(device: torch.device) -> bool:
-    """Whether convolutions run in bfloat16 on a device: where that is quicker than float32."""
+    """Whether convolutions run in bfloat16, where that is faster than float32."""
     import torch
 
     if device.type == "cuda":
@@ -97,7 +97,7 @@ def uses_bfloat16(device: torch.device) -> bool:
 
 @cache
 def has_fast_bfloat16() -> bool:
-    """Whether this processor multiplies bfloat16 matrices in hardware, and oneDNN may use that."""
+    """Whether this CPU multiplies bfloat16 matrices in hardware, and oneDNN may use that."""
     limit = os.environ.get("ONEDNN_MAX_CPU_ISA", os.environ.get("DNNL_MAX_CPU_ISA", "")).upper()
     if limit and "BF16" not in limit and "AMX" not in limit and limit not in ("ALL", "DEFAULT"):
         return False

@@ -1,4 +1,4 @@
-"""Cameras, rigid transforms and crops: the conventions that every other file keeps.
+"""Cameras, rigid transforms and crops, and the conventions of all other files.
 
 Meters, radians, OpenCV camera frame (x right, y down, z forward), pixels with the center of the
 top-left pixel at (0, 0). Every transform is named ``T_to_from`` and maps ``from`` coordinates to
@@ -21,6 +21,15 @@ LINEMOD_K = np.array([[572.4114, 0.0, 325.2611], [0.0, 573.57043, 242.04899], [0
 LINEMOD_K.setflags(write=False)
 
 
+def _finite_matrix(matrix: np.ndarray, size: int, what: str, name: str) -> np.ndarray:
+    out = np.asarray(matrix, dtype=np.float64)
+    if out.shape != (size, size):
+        raise InputError(f"{name} must be a {size}x{size} {what}, got shape {out.shape}")
+    if not np.isfinite(out).all():
+        raise InputError(f"{name} has NaN or infinite entries: {out.tolist()}")
+    return out
+
+
 def check_intrinsics(K: np.ndarray, name: str = "K") -> np.ndarray:
     """Returns ``K`` as float64 (3, 3).
 
@@ -28,11 +37,7 @@ def check_intrinsics(K: np.ndarray, name: str = "K") -> np.ndarray:
         InputError: if it is not a finite 3x3 camera matrix with positive focal lengths and a last
             row of (0, 0, 1).
     """
-    matrix = np.asarray(K, dtype=np.float64)
-    if matrix.shape != (3, 3):
-        raise InputError(f"{name} must be a 3x3 camera matrix, got shape {matrix.shape}")
-    if not np.isfinite(matrix).all():
-        raise InputError(f"{name} has NaN or infinite entries: {matrix.tolist()}")
+    matrix = _finite_matrix(K, 3, "camera matrix", name)
     if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
         raise InputError(
             f"{name} must have positive focal lengths, got {matrix[0, 0]} and {matrix[1, 1]}"
@@ -49,21 +54,14 @@ def check_rigid(T: np.ndarray, name: str = "T", tolerance: float = 1e-4) -> np.n
         InputError: if it is not a finite 4x4 rigid transform (orthonormal rotation of determinant
             +1 within ``tolerance``, last row (0, 0, 0, 1)).
     """
-    matrix = np.asarray(T, dtype=np.float64)
-    if matrix.shape != (4, 4):
-        raise InputError(f"{name} must be a 4x4 rigid transform, got shape {matrix.shape}")
-    if not np.isfinite(matrix).all():
-        raise InputError(f"{name} has NaN or infinite entries")
+    matrix = _finite_matrix(T, 4, "rigid transform", name)
     if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0), atol=tolerance):
         raise InputError(f"{name} must end in the row (0, 0, 0, 1), got {matrix[3].tolist()}")
-    rotation = matrix[:3, :3]
-    if (
-        not np.allclose(rotation @ rotation.T, np.eye(3), atol=tolerance)
-        or np.linalg.det(rotation) < 0
-    ):
+    rotation, determinant = matrix[:3, :3], np.linalg.det(matrix[:3, :3])
+    if determinant < 0 or not np.allclose(rotation @ rotation.T, np.eye(3), atol=tolerance):
         raise InputError(
             f"{name} is not rigid: its 3x3 part must be a rotation (orthonormal, determinant +1), "
-            f"got determinant {np.linalg.det(rotation):.6f}"
+            f"got determinant {determinant:.6f}"
         )
     return matrix
 
@@ -99,15 +97,15 @@ def check_depth(depth: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One image with its camera: what an estimator is given.
+    """One image with its camera: the input of an estimator.
 
     Attributes:
         image: RGB uint8, (H, W, 3).
         K: camera matrix in pixels, (3, 3).
         T_cam_world: world to OpenCV camera, (4, 4), meters. The world is any frame that the views
             of one estimate share.
-        depth: a depth sensor's map along z, (H, W) meters, 0 where it saw nothing; None where there
-            is no such sensor. Only ``rgbd`` looks at it.
+        depth: depth map along z, (H, W) meters, 0 = unknown; None without a depth sensor. Only
+            ``rgbd`` uses it.
     """
 
     image: np.ndarray
@@ -171,29 +169,19 @@ def crop_matrix(center: np.ndarray, side: float, size: int) -> np.ndarray:
     """
     scale = size / side
     offset = (size - 1) / 2
-    return np.array(
-        [
-            [scale, 0.0, offset - scale * center[0]],
-            [0.0, scale, offset - scale * center[1]],
-            [0.0, 0.0, 1.0],
-        ]
-    )
+    x, y = offset - scale * center[0], offset - scale * center[1]
+    return np.array([[scale, 0.0, x], [0.0, scale, y], [0.0, 0.0, 1.0]])
 
 
 def rotation_matrix_2d(angle: float, size: int) -> np.ndarray:
-    """The affine map (3, 3) that turns a crop of ``size`` pixels about its middle, by radians."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    middle = (size - 1) / 2
-    return np.array(
-        [
-            [cosine, -sine, middle * (1 - cosine + sine)],
-            [sine, cosine, middle * (1 - cosine - sine)],
-            [0.0, 0.0, 1.0],
-        ]
-    )
+    """The affine map (3, 3) that rotates a crop of ``size`` pixels about its center, radians."""
+    c, s = np.cos(angle), np.sin(angle)
+    center = (size - 1) / 2
+    x, y = center * (1 - c + s), center * (1 - c - s)
+    return np.array([[c, -s, x], [s, c, y], [0.0, 0.0, 1.0]])
 
 
 def grid_matrix(stride: int) -> np.ndarray:
-    """The affine map (3, 3) from pixels of a image to those of a map with a stride."""
+    """The affine map (3, 3) from image pixels to those of a feature map with a stride."""
     offset = (1 - stride) / (2 * stride)
     return np.array([[1 / stride, 0, offset], [0, 1 / stride, offset], [0, 0, 1.0]])

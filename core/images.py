@@ -1,4 +1,4 @@
-"""Reading image files: one decoder for all."""
+"""Reads image files."""
 
 from __future__ import annotations
 
@@ -16,27 +16,26 @@ def read_image(path: Path, mode: Literal["RGB", "L"] | None = "RGB") -> np.ndarr
 
     Args:
         path: the file.
-        mode: ``RGB``; ``L`` for gray; None for what the file holds, such as depth of 16 bits.
+        mode: ``RGB``; ``L`` for gray; None for the file's own, such as 16-bit depth.
 
     Returns:
         uint8, (H, W, 3) for RGB and (H, W) for gray; else the file's own type and channels.
 
     Raises:
         OSError: if the file cannot be opened.
-        InputError: if it is not an image, or truncated or damaged.
+        InputError: if it is not an image, or truncated or corrupted.
     """
     try:
         with Image.open(path) as image:
             return np.array(image if mode in (None, image.mode) else image.convert(mode))
-    except Exception as error:  # readers of broken files fail in every way there is
+    except Exception as error:  # decoders raise all kinds of errors
         if getattr(error, "errno", None):
             raise
-        what = "is not a picture file (PNG, JPEG, ...), or it is truncated"
-        raise InputError(f"image {path} {what}") from error
+        raise InputError(f"{path} is not an image file (PNG, JPEG, ...) or truncated") from error
 
 
 def read_image_size(path: Path) -> tuple[int, int]:
-    """Height and width that an image file's header says.
+    """Reads height and width from an image file's header.
 
     Raises:
         OSError: if the file cannot be opened, or is not an image.

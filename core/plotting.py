@@ -13,20 +13,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK = "#24292f"
-
-
 GRID = "#d9dde2"
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of so many inches; no screen is needed and no global state is touched."""
+    """An empty figure, inches; needs no display and changes no global state."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def tidy(axis: Axes) -> None:
-    """A light grid, and no frame on the upper and right side."""
+    """A light grid, without the top and right spines."""
     axis.grid(True, color=GRID, linewidth=0.7)
     axis.set_axisbelow(True)
     axis.spines[["top", "right"]].set_visible(False)
@@ -35,7 +33,7 @@ def tidy(axis: Axes) -> None:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Writes a figure, an SVG or PNG by its suffix; the same figure gives the same bytes."""
+    """Writes a figure as SVG or PNG, by its suffix, with reproducible bytes."""
     from matplotlib import rc_context
 
     buffer = io.BytesIO()

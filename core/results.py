@@ -1,8 +1,7 @@
-"""The results file that every command writes for ``--json``: one flat list, one number each.
+"""The results file that every command writes for ``--json``: a flat list of records.
 
 The document is ``{"command", "versions", "seed", "records"}``; a record is ``{"metric", "value",
-"unit", ...tags}``. Reports, tables and checks read these files and nothing else, so a record that a
-reader could misread (a missing tag, a NaN, which JSON does not know) is refused when it is written.
+"unit", ...tags}``. Records are validated when written: JSON has no NaN.
 """
 
 from __future__ import annotations
@@ -33,12 +32,12 @@ PACKAGES = (
     "torch",
     "trimesh",
 )
-"""Distributions whose versions can change a number."""
+"""Distributions whose versions can change a result."""
 
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of Python and of every installed package of `PACKAGES`; imports none of them."""
+    """Versions of Python and of the installed `PACKAGES`, which are not imported."""
     found = {"python": platform.python_version()}
     for name in PACKAGES:
         try:
@@ -50,7 +49,7 @@ def versions() -> dict[str, str]:
 
 @cache
 def commit() -> str | None:
-    """The commit of the checkout that this package runs from, or None for an installed wheel."""
+    """The commit of this checkout, or None for an installed wheel."""
     root = Path(__file__).resolve().parents[1]
     if not (root / ".git").exists():
         return None
@@ -64,14 +63,13 @@ def commit() -> str | None:
 
 
 def check_record(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns ``record`` as plain Python values.
+    """Validates a record and converts NumPy scalars to Python's.
 
-    Args:
-        record: ``metric`` (text), ``value`` (a finite number), ``unit`` (text) and any tags, whose
-            values are text, finite numbers, booleans or None. NumPy scalars are converted.
+    A record has ``metric`` (text), ``value`` (a finite number), ``unit`` (text) and any tags, whose
+    values are text, finite numbers, booleans or None.
 
     Raises:
-        InputError: if a key is missing or a value is of another kind.
+        InputError: if a key is missing or a value has another type.
     """
     missing = [key for key in ("metric", "value", "unit") if key not in record]
     if missing:
@@ -106,13 +104,13 @@ def write_results(
     command: str,
     seed: int | None,
 ) -> None:
-    """Writes a results file; the path holds either the old file or the whole new one.
+    """Writes a results file atomically.
 
     Args:
-        path: the JSON file; its folder is made if need be.
+        path: the JSON file; its folder is created.
         records: see `check_record`.
-        command: the command and its arguments, so that a reader can repeat it.
-        seed: the seed of the command, None if it draws nothing.
+        command: the command line.
+        seed: the seed of the command, None without random numbers.
 
     Raises:
         InputError: if a record is malformed.

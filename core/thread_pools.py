@@ -1,8 +1,8 @@
-"""Threads that run networks side by side, each on one core.
+"""Thread pools that run networks in parallel, one core for each thread.
 
-OpenMP shares every operation of a network among its threads, which meet at a barrier after each.
-On a machine with other work a barrier waits for a thread that has no core, hundreds of times an
-estimate. Threads that each take a piece of work through the whole network meet once.
+OpenMP splits every operation of a network among its threads, with a barrier after each. On a busy
+machine a barrier waits for a thread without a core, hundreds of times an estimate. Threads that
+each run the complete network synchronize once.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from functools import cache
 
 
 def shared_pool(workers: int) -> ThreadPoolExecutor:
-    """:func:`single_core_threads` that are kept for the whole process."""
-    # A forked process has none of its parent's threads.
+    """:func:`single_core_threads`, cached per process."""
+    # A forked process does not have its parent's threads.
     return _shared(workers, os.getpid())
 
 
@@ -25,16 +25,16 @@ def _shared(workers: int, process: int) -> ThreadPoolExecutor:
 
 
 def single_core_threads(workers: int) -> ThreadPoolExecutor:
-    """Threads in each of which torch computes on one core."""
-    import torch  # importing the environment, which imports this, must stay cheap
+    """A pool of threads in each of which torch uses one core."""
+    import torch  # lazily: importing the environment must stay cheap
 
     pool = ThreadPoolExecutor(workers, "estimator")
     before = torch.get_num_threads()
     together = threading.Barrier(workers)
 
     def set_up() -> None:
-        torch.get_num_threads()  # what a thread first asks for its number sets to the default
-        torch.set_num_threads(1)  # of this thread, and the default of those that are started later
+        torch.get_num_threads()  # the first call in a thread sets its number to the default
+        torch.set_num_threads(1)  # of this thread, and the default of later ones
         together.wait()
 
     for started in [pool.submit(set_up) for _ in range(workers)]:

@@ -1,12 +1,11 @@
-"""How PyTorch's threads wait for each other: briefly awake, then asleep.
+"""OpenMP's wait policy: PyTorch's threads spin briefly at a barrier, then sleep.
 
-On a processor the threads of an operation meet at its end. OpenMP lets those that are early spin
-for milliseconds, which takes the cores from whoever has work left: beside busy processes an
-operation then takes ten to forty times as long. Asleep at once they would wake late, and cost an
-estimate on an idle machine a fifth. A tenth of a millisecond costs neither.
+By default early threads spin for milliseconds, which takes cores from threads with work left: next
+to busy processes an operation takes ten to forty times as long. Without spinning they wake late, a
+fifth of an estimate on an idle machine. Spinning for 0.1 ms costs neither.
 
 OpenMP reads its variables once, when torch is loaded: import ``two_view_pose`` before torch, or set
-one of ``VARIABLES`` yourself. Processes that are started later inherit them in any case.
+one of ``VARIABLES`` yourself. Child processes inherit them in any case.
 """
 
 from __future__ import annotations
@@ -15,19 +14,16 @@ import os
 import sys
 
 VARIABLES = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "KMP_BLOCKTIME")
-"""Each says how threads wait: that of the standard, GCC's and LLVM's."""
+"""The wait policy's variables: of the standard, GCC and LLVM."""
 
 BRIEF = {"GOMP_SPINCOUNT": "10000", "KMP_BLOCKTIME": "1"}
-"""What is set where the user has set none of them: rounds of GCC's loop, milliseconds of LLVM's."""
+"""Our values: iterations of GCC's loop, milliseconds of LLVM's."""
 
 _torch_came_first = False
 
 
 def let_threads_sleep() -> None:
-    """Lets OpenMP's threads sleep when they wait long, unless the user has said how they are to.
-
-    Where torch is loaded already this reaches only processes that are started later.
-    """
+    """Sets OpenMP's wait policy unless the user has; acts on child processes if torch is loaded."""
     global _torch_came_first
     if any(name in os.environ for name in VARIABLES):
         return
@@ -36,9 +32,13 @@ def let_threads_sleep() -> None:
 
 
 def how_threads_wait() -> str:
-    """What holds in this process, in words; known once :func:`let_threads_sleep` was called."""
-    said = " ".join(f"{name}={os.environ[name]}" for name in VARIABLES if name in os.environ)
+    """Describes the wait policy of this process, after :func:`let_threads_sleep`."""
+    variables = " ".join(f"{name}={os.environ[name]}" for name in VARIABLES if name in os.environ)
     if _torch_came_first:
-        return f"spin while they wait: torch was imported before two_view_pose set {said}"
+        return f"spin while they wait: torch was imported before two_view_pose set {variables}"
     ours = " ".join(f"{name}={value}" for name, value in BRIEF.items())
-    return f"sleep when they wait long ({said})" if said == ours else f"wait as {said} says"
+    return (
+        f"sleep when they wait long ({variables})"
+        if variables == ours
+        else f"wait as {variables} says"
+    )

@@ -1,4 +1,4 @@
-"""What an action means: where on the view sphere it sends the camera."""
+"""Converts actions to viewpoints on the view sphere."""
 
 from __future__ import annotations
 
@@ -12,22 +12,19 @@ from ..core.errors import InputError
 from .simulation.camera import CAMERA_RANGE
 
 AZIMUTH_LIMIT = np.pi / 2
-"""Largest azimuth offset of the second view to either side, radians."""
+"""Maximum azimuth offset of the second view, radians."""
 
 
 def box_view(action: Any) -> tuple[float, float, float]:
-    """The view of a Box action: azimuth offset (rad), elevation (rad), distance (m).
-
-    Args:
-        action: (3,) numbers from -1 to 1.
+    """The view of a Box action (3,): azimuth offset (rad), elevation (rad), distance (m).
 
     Raises:
         InputError: if the action is NaN or not in the action space.
     """
     try:
         values = np.asarray(action, dtype=np.float32)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"action must be three numbers from -1 to 1, got {action!r}") from error
+    except (TypeError, ValueError):
+        values = np.empty(0, dtype=np.float32)
     if values.shape != (3,) or not (np.abs(values) <= 1.0).all():
         raise InputError(f"action must be three numbers from -1 to 1, got {action!r}")
     azimuth, elevation, distance = values.astype(np.float64)
@@ -39,19 +36,15 @@ def box_view(action: Any) -> tuple[float, float, float]:
 
 
 def candidate_view(action: Any, count: int) -> int:
-    """The number of a candidate view that a Discrete action is.
-
-    Args:
-        action: an integer, also as an array without axes.
-        count: how many candidates there are.
+    """Validates a Discrete action: an integer, or an array of shape ().
 
     Raises:
-        InputError: if it is no integer from 0 to ``count`` - 1.
+        InputError: if it is not an integer from 0 to ``count`` - 1.
     """
     if isinstance(action, np.ndarray) and action.ndim == 0:
         action = action.item()
-    whole = isinstance(action, Integral) and not isinstance(action, bool)
-    if not whole or not 0 <= int(action) < count:
+    integer = isinstance(action, Integral) and not isinstance(action, bool)
+    if not integer or not 0 <= int(action) < count:
         raise InputError(f"action must be an integer from 0 to {count - 1}, got {action!r}")
     return int(action)
 
@@ -60,7 +53,7 @@ def check_candidates(candidates: Sequence[tuple[float, float]]) -> np.ndarray:
     """Candidate views in radians, (N, 2).
 
     Raises:
-        InputError: if they are no list of (azimuth offset, elevation) in degrees within the range.
+        InputError: if they are not pairs (azimuth offset, elevation) within the range, degrees.
     """
     views = np.asarray(candidates, dtype=np.float64)
     low, high = np.rad2deg(CAMERA_RANGE.elevation)

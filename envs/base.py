@@ -1,7 +1,4 @@
-"""One episode of choosing a second view: scene, images, estimates, reward.
-
-The environments in ``two_view_pose.py`` differ from this only in what an action means.
-"""
+"""The base class of the live environments: scene, views, estimates and reward of one episode."""
 
 from __future__ import annotations
 
@@ -19,12 +16,13 @@ from ..assets.object_model import ObjectModel
 from ..core.errors import InputError
 from ..core.geometry import LINEMOD_IMAGE_SIZE, View
 from ..core.memory import release_unused_memory
+from ..core.validation import require_within
 from ..pose_estimator.bop.objects import load_objects
 from ..pose_estimator.types import PoseEstimate
 from .episode import Episode
 from .episode_figure import episode_figure
 from .observation import Observation, SpherePosition, make_observation, observation_space
-from .options import ResetOptions
+from .options import parse_reset_options
 from .protocol import PoseEstimator, check_known_objects, resolve_estimator
 from .simulation.carrier import Carrier, FreeFlyingCarrier, PoseNoise
 from .simulation.intrinsics import scaled_intrinsics
@@ -33,20 +31,19 @@ from .simulation.scene import SceneConfig
 from .simulation.simulator import SceneInfo, SceneRequest, SceneSimulator, episode_generators
 from .window import Window
 
-IMAGE_SIZES = (36, 256)
+IMAGE_SIZE_RANGE = (36, 256)
 
 MEMORY_RELEASE_INTERVAL = 100
-"""Episodes after which an environment gives free memory back to the operating system."""
+"""Episodes after which an environment returns unused memory to the operating system."""
 
 
 class ViewSelectionEnv(gym.Env[Observation, Any]):
-    """What all variants of Two-View Pose share; see ``TwoViewPoseEnv`` for the arguments.
+    """What all live environments share; see ``TwoViewPoseEnv`` for the arguments.
 
-    A variant says what its actions are (``make_action_space``) and where they send the camera
-    (``camera_pose``).
+    Subclasses define the actions (``make_action_space``) and their cameras (``camera_pose``).
 
     Attributes:
-        object_names: the objects, in the order of the observation's one-hot.
+        object_names: in the order of the observation's one-hot.
         travel_weight: cost of a meter of camera travel.
     """
 
@@ -73,13 +70,12 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise InputError(f"render_mode must be human, rgb_array or None, got {render_mode!r}")
-        smallest, largest = IMAGE_SIZES
-        if not smallest <= image_size <= largest:
-            raise InputError(f"image_size must be {smallest} to {largest} pixels, got {image_size}")
-        if not (np.isfinite(travel_weight) and travel_weight >= 0):
-            raise InputError(f"travel_weight must be a number of at least 0, got {travel_weight}")
+        low, high = IMAGE_SIZE_RANGE
+        if not low <= image_size <= high:
+            raise InputError(f"image_size must be {low} to {high} pixels, got {image_size}")
         self.render_mode = render_mode
         self.travel_weight = float(travel_weight)
+        require_within(self, 0, np.inf, "travel_weight")
         self._pose_noise = PoseNoise.of(pose_noise)
         self._carrier = FreeFlyingCarrier() if carrier is None else carrier
         self._objects = dict(objects) if isinstance(objects, Mapping) else load_objects(objects)
@@ -99,34 +95,34 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
 
     @abstractmethod
     def make_action_space(self) -> spaces.Space[Any]:
-        """What an action of this variant is."""
+        """The action space of this environment."""
 
     @abstractmethod
     def camera_pose(self, action: Any) -> np.ndarray:
-        """Where an action would send the camera now: T_cam_world (4, 4).
+        """The camera that an action would lead to now: T_cam_world (4, 4).
 
         Raises:
-            InputError: if the action is not in the action space.
+            InputError: if it is not in the action space.
         """
 
     @property
     def views(self) -> tuple[View, ...]:
-        """What the estimator has been given in this episode, the reference view first."""
+        """The estimator's input in this episode, the reference view first."""
         return tuple(self._running().views)
 
     @property
     def object_name(self) -> str:
-        """The target of this episode."""
+        """The target."""
         return self._running().object_name
 
     @property
     def estimate(self) -> PoseEstimate | None:
-        """The newest estimate, in the reference camera; None without an estimator."""
+        """The latest estimate, in the reference camera; None without an estimator."""
         return self._running().estimate
 
     @property
     def intrinsics(self) -> np.ndarray:
-        """The camera matrix of the images, (3, 3)."""
+        """Camera matrix of the images, (3, 3)."""
         return self._K.copy()
 
     @property
@@ -136,23 +132,22 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
 
     @property
     def reference_position(self) -> SpherePosition:
-        """The reference camera as seen from the middle of the view sphere."""
+        """The reference camera in spherical coordinates about the view sphere's center."""
         return self._running().position(0)
 
     @property
     def sphere_center(self) -> np.ndarray:
-        """The middle of the view sphere, (3,), world; see :attr:`.Episode.sphere_center`."""
+        """Center of the view sphere, (3,), world; see :attr:`.Episode.sphere_center`."""
         return self._running().sphere_center
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Draws a scene, takes the reference view and estimates the first pose from it.
+        """Samples a scene, takes the reference view and estimates the first pose from it.
 
         Args:
-            seed: of the environment's random numbers; None goes on with them.
-            options: ``object``, ``scene_seed`` and ``reference_camera``, each optional (see the
-                class).
+            seed: of the environment's random number generator; None keeps its state.
+            options: ``object``, ``scene_seed`` and ``reference_camera``, each optional.
 
         Raises:
             InputError: if an option is unknown or not allowed.
@@ -166,26 +161,25 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         """Takes the second view and estimates the pose from both; the episode ends.
 
         Raises:
-            InputError: if the action is NaN or out of the action space.
+            InputError: if the action is NaN or not in the action space.
             ResetNeeded: if the episode has ended.
         """
-        self._look(self.move(action))
+        self._add_rendered_view(self.move(action))
         return self.step_output()
 
     def sample_scene_request(self, seed: int | None, options: Any) -> SceneRequest:
-        """The scene of the next episode; the first part of :meth:`reset`.
+        """Samples the next episode's scene; the first part of :meth:`reset`.
 
         Raises:
             InputError: if an option is unknown or not allowed.
         """
         super().reset(seed=seed)
-        chosen = ResetOptions.parse(options, self.object_names, self._scene_config.camera)
-        drawn = int(self.np_random.integers(2**31))
-        scene_seed = drawn if chosen.scene_seed is None else chosen.scene_seed
-        return SceneRequest(scene_seed, chosen.object, chosen.reference_camera)
+        scene_seed = int(self.np_random.integers(2**31))
+        camera_range = self._scene_config.camera
+        return parse_reset_options(options, self.object_names, camera_range, scene_seed)
 
     def begin(self, request: SceneRequest, scene: SceneInfo) -> None:
-        """Starts an episode in a scene that was set up, with its reference view."""
+        """Begins an episode with the reference view of a scene."""
         self._episodes += 1
         if self._episodes % MEMORY_RELEASE_INTERVAL == 0:
             release_unused_memory()
@@ -201,15 +195,13 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         self.add_view(scene.T_cam_world, scene.image)
 
     def move(self, action: Any) -> np.ndarray:
-        """Moves the camera as an action says: T_cam_world (4, 4); the first part of :meth:`step`.
+        """Moves the camera, returns T_cam_world (4, 4); the first part of :meth:`step`.
 
         Raises:
-            InputError: if the action is NaN or out of the action space.
+            InputError: if the action is NaN or not in the action space.
             ResetNeeded: if the episode has ended.
         """
-        episode = self._running()
-        if episode.ended:
-            raise ResetNeeded("the episode ended with its second view: call reset() first")
+        episode = self._unfinished()
         motion = self._carrier.move(self.camera_pose(action))
         episode.travel += motion.travel
         return motion.T_cam_world
@@ -217,24 +209,24 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
     def add_view(self, T_cam_world: np.ndarray, image: np.ndarray) -> None:
         """Adds an image (H, W, 3) from a camera (4, 4) to the episode."""
         episode = self._running()
-        noisy = T_cam_world  # the noise is in the relative pose, so the first view has none
+        noisy = T_cam_world  # the relative pose is noisy, so the first view is exact
         if episode.views:
             noisy = self._pose_noise.perturb(T_cam_world, episode.noise_rng)
         episode.cameras.append(T_cam_world)
         episode.views.append(View(image, self._K, noisy))
 
     def add_estimate(self, estimate: PoseEstimate) -> None:
-        """Adds what was estimated from all views so far to the episode."""
+        """Adds the estimate from all views so far to the episode."""
         self._running().add_estimate(estimate)
 
     def reset_output(self) -> tuple[Observation, dict[str, Any]]:
-        """What :meth:`reset` returns, once the reference view is there."""
+        """Returns the output of :meth:`reset`."""
         if self.render_mode == "human":
             self.render()
         return self._observation(), self._info()
 
     def step_output(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """What :meth:`step` returns, once the second view is there; the episode ends."""
+        """Ends the episode with its second view; returns the output of :meth:`step`."""
         episode = self._running()
         episode.ended = True
         if self.render_mode == "human":
@@ -243,18 +235,18 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         return self._observation(), float(reward), True, False, self._info()
 
     def visibility_from(self, T_cam_world: np.ndarray) -> float:
-        """Visible fraction of the target from a camera (4, 4): ground truth, for recording."""
+        """Ground truth: visible fraction of the target from a camera (4, 4)."""
         self._running()
         return self._simulator.visibility_from(T_cam_world)
 
     def render(self) -> np.ndarray | None:
-        """The :meth:`figure` of the episode; None if it is shown in a window.
+        """Returns the :meth:`figure` of the episode; None if it is shown in a window.
 
         Raises:
-            ResetNeeded: if there is no episode yet.
+            ResetNeeded: before the first reset.
         """
         if self.render_mode is None:
-            gym.logger.warn('render() draws nothing unless render_mode is "rgb_array" or "human"')
+            gym.logger.warn("You are calling render method without specifying any render mode.")
             return None
         frame = self.figure()
         if self.render_mode == "human":
@@ -264,20 +256,26 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
 
     def figure(self) -> np.ndarray:
         """Both views with the true and the estimated outlines: RGB uint8, (664, 1360, 3)."""
-        return episode_figure(self._running(), self._running().model)
+        return episode_figure(self._running())
 
     def close(self) -> None:
-        """Frees the GL context and the window; may be called again."""
+        """Closes the GL context and the window; can be called again."""
         self._simulator.close()
         self._window.close()
 
     def _running(self) -> Episode:
         if self._episode is None:
-            raise ResetNeeded("there is no episode yet: call reset() first")
+            raise ResetNeeded("there is no episode: call reset() first")
         return self._episode
 
-    def _look(self, T_cam_world: np.ndarray) -> None:
-        """Renders the view from ``T_cam_world`` and estimates the pose from all views so far."""
+    def _unfinished(self) -> Episode:
+        episode = self._running()
+        if episode.ended:
+            raise ResetNeeded("the episode has ended: call reset() first")
+        return episode
+
+    def _add_rendered_view(self, T_cam_world: np.ndarray) -> None:
+        """Renders a view and estimates the pose from all views so far."""
         self.add_view(T_cam_world, self._simulator.render(T_cam_world, len(self.views)))
         self._estimate()
 

@@ -17,7 +17,7 @@ from .observation import SpherePosition
 from .simulation.carrier import angle_at
 
 WORKSPACE_LOW, WORKSPACE_HIGH = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5, 0.4])
-"""Where on the table the object can be at all (world, meters); bounds the view sphere's center."""
+"""Where objects stand on the table (world, meters); bounds the view sphere's center."""
 
 
 @dataclass(eq=False)
@@ -25,17 +25,17 @@ class Episode:
     """One target in one scene, and the views of it so far.
 
     Attributes:
-        scene_seed: everything drawn in the episode follows from it.
+        scene_seed: seed of everything random in the episode.
         object_name: the target.
         model: of the target.
         T_world_obj: its true pose, (4, 4).
         visibility: visible fraction of the target in the reference view.
-        noise_rng: draws the error of the camera poses that the estimator is given.
+        noise_rng: samples the noise of the estimator's camera poses.
         cameras: true T_cam_world of each view, the reference view first, (4, 4).
-        views: what the estimator was given, the reference view first.
-        estimates: the answer after each view; empty without an estimator.
+        views: the estimator's input, the reference view first.
+        estimates: the estimate after each view; empty without an estimator.
         errors: ADD(-S) of each estimate, meters.
-        travel: how far the camera has moved since the reference view, meters.
+        travel: path length of the camera since the reference view, meters.
         ended: whether the last view has been taken.
     """
 
@@ -53,7 +53,7 @@ class Episode:
     ended: bool = False
 
     def copy(self) -> Episode:
-        """The same episode, which may continue differently; images and estimates are shared."""
+        """Copies the episode; images and estimates are shared."""
         return replace(
             self,
             noise_rng=deepcopy(self.noise_rng),
@@ -64,7 +64,7 @@ class Episode:
         )
 
     def add_estimate(self, estimate: PoseEstimate) -> None:
-        """Adds what was estimated from all views so far, and its error.
+        """Adds the estimate from all views so far, and its error.
 
         Raises:
             InputError: if its pose is not a rigid transform.
@@ -75,15 +75,15 @@ class Episode:
         self.errors.append(error)
 
     def T_cam_obj_true(self, index: int) -> np.ndarray:
-        """The true pose in the camera of a view, (4, 4), a new array."""
+        """The true pose in the camera of a view, (4, 4)."""
         return self.cameras[index] @ self.T_world_obj
 
     @property
     def sphere_center(self) -> np.ndarray:
-        """The middle of the view sphere, (3,), world: where the object is estimated to be.
+        """Center of the view sphere, (3,), world: the first estimated position of the object.
 
-        It is kept within the part of the table where objects stand. Without an estimate it is
-        where the reference camera's optical axis meets the table.
+        It is clipped to the workspace on the table. Without an estimate it is the intersection of
+        the reference camera's optical axis with the table.
         """
         T_world_cam = invert(self.cameras[0])
         if self.estimates:
@@ -94,31 +94,31 @@ class Episode:
         return np.clip(center, WORKSPACE_LOW, WORKSPACE_HIGH)
 
     def position(self, index: int) -> SpherePosition:
-        """The camera of a view, as seen from the middle of the view sphere."""
+        """The camera of a view in spherical coordinates about the view sphere's center."""
         return SpherePosition.of(self.cameras[index], self.sphere_center)
 
     @property
     def baseline_deg(self) -> float:
-        """Angle at the middle of the view sphere between the first and the newest camera."""
+        """Angle at the view sphere's center between the first and the latest camera."""
         return angle_at(self.sphere_center, self.cameras[0], self.cameras[-1])
 
     @property
     def estimate(self) -> PoseEstimate | None:
-        """The newest estimate; None without an estimator."""
+        """The latest estimate; None without an estimator."""
         return self.estimates[-1] if self.estimates else None
 
     @property
     def diameter(self) -> float:
-        """Of the target, meters."""
+        """Diameter of the target, meters."""
         return float(self.model.diameter)
 
     @property
     def error_ratio(self) -> float:
-        """The newest error in diameters, at most 1; 0 without an estimator."""
+        """The latest error in diameters, clipped to 1; 0 without an estimator."""
         return min(self.errors[-1] / self.diameter, 1.0) if self.errors else 0.0
 
     def info(self) -> dict[str, Any]:
-        """The environment's info; everything that no agent may use is in ``ground_truth``."""
+        """The environment's info; agents must not use ``ground_truth``."""
         estimate = self.estimate
         return {
             "object": self.object_name,
@@ -136,13 +136,7 @@ class Episode:
 
 
 def ground_truth(visibility: float, errors: Sequence[float], diameter: float) -> dict[str, Any]:
-    """What an info says of the truth of live and of recorded episodes.
-
-    Args:
-        visibility: visible fraction of the target in the reference view.
-        errors: ADD(-S) of each estimate so far, meters; empty without an estimator.
-        diameter: of the target, meters.
-    """
+    """The ground truth in the info of live and of replayed episodes, see :class:`Episode`."""
     truth: dict[str, Any] = {"visibility": visibility}
     if errors:
         truth["add_first"] = errors[0]
@@ -153,5 +147,5 @@ def ground_truth(visibility: float, errors: Sequence[float], diameter: float) ->
 
 
 def episode_seed(seed: int, number: int) -> int:
-    """The seed of ``reset`` for episode ``number`` of a study, the same wherever it runs."""
+    """The seed of ``reset`` for episode ``number`` of a series."""
     return int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])

@@ -1,4 +1,4 @@
-"""The image that ``render`` returns: both views, both poses, and the error before and after."""
+"""The figure that ``render`` returns: both views, both poses and their errors."""
 
 from __future__ import annotations
 
@@ -17,25 +17,20 @@ _PANEL = (480, 640)  # height, width
 _MARGIN, _GAP = 28, 24
 _TOP, _BOTTOM = 118, 66  # space above and below the panels
 _INSET = 172
-_INK, _GRAY, _GOOD = (28, 32, 38), (118, 124, 133), (27, 138, 58)
-_PAPER, _EMPTY = (255, 255, 255), (241, 243, 245)
+_TEXT, _GRAY, _GREEN = (28, 32, 38), (118, 124, 133), (27, 138, 58)
+_BACKGROUND, _EMPTY = (255, 255, 255), (241, 243, 245)
 
 
-def episode_figure(episode: Episode, model: ObjectModel) -> np.ndarray:
-    """The first and the newest view of an episode side by side, with true and estimated outlines.
-
-    ADD(-S) stands below each; without a second view its place is empty.
-
-    Args:
-        episode: with one view at least.
-        model: of its target.
+def episode_figure(episode: Episode) -> np.ndarray:
+    """Draws the first and the latest view with true and estimated outlines and ADD(-S).
 
     Returns:
         RGB uint8, (664, 1360, 3).
     """
+    model = episode.model
     height, width = _PANEL
     canvas_size = (2 * _MARGIN + _GAP + 2 * width, _TOP + height + _BOTTOM)
-    canvas = Image.new("RGB", canvas_size, _PAPER)
+    canvas = Image.new("RGB", canvas_size, _BACKGROUND)
     draw = ImageDraw.Draw(canvas)
     estimated = bool(episode.estimates)
     end = _text(draw, (_MARGIN, 44), model.name, 32)
@@ -55,13 +50,16 @@ def episode_figure(episode: Episode, model: ObjectModel) -> np.ndarray:
             continue
         end = _text(draw, (x, _TOP - 20), title, 20)
         _text(draw, (end + 12, _TOP - 20), note, 16, _GRAY)
-        canvas.paste(Image.fromarray(_panel_image(episode, view, model)), (x, _TOP))
-        _score(draw, (x, _TOP + height + 34), model, episode.errors[view] if estimated else None)
+        canvas.paste(Image.fromarray(_panel_image(episode, view)), (x, _TOP))
+        _error_text(
+            draw, (x, _TOP + height + 34), model, episode.errors[view] if estimated else None
+        )
     return np.asarray(canvas).copy()
 
 
-def _panel_image(episode: Episode, index: int, model: ObjectModel) -> np.ndarray:
-    """A view with both outlines and, in the emptiest corner, the object enlarged."""
+def _panel_image(episode: Episode, index: int) -> np.ndarray:
+    """A view with both outlines and, in the corner opposite to the object, an enlarged inset."""
+    model = episode.model
     T_cam_obj = episode.T_cam_obj_true(index)
     poses = {TRUE_COLOR: T_cam_obj}
     if episode.estimates:
@@ -77,7 +75,7 @@ def _panel_image(episode: Episode, index: int, model: ObjectModel) -> np.ndarray
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     side = 1.45 * (high - low).max()
     if side > 1.5 * _INSET or (high < 0).any() or (low > (_PANEL[1], _PANEL[0])).any():
-        return drawn  # large enough already, or out of the image
+        return drawn  # large enough, or outside the image
     center = (low + high) / 2
     A = crop_matrix(center, side, _INSET)
     detail = cv2.warpAffine(
@@ -93,7 +91,7 @@ def _panel_image(episode: Episode, index: int, model: ObjectModel) -> np.ndarray
 
 
 def _panel_sized(image: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """An image (H, W, 3) and its camera matrix at the size of a panel."""
+    """Resizes an image (H, W, 3) and its camera matrix to a panel."""
     height, width = _PANEL
     if image.shape[:2] == _PANEL:
         return image, K
@@ -108,23 +106,23 @@ def _empty_panel(draw: ImageDraw.ImageDraw, x: int) -> None:
     _text(draw, (x, _TOP - 20), "Second view", 20, _GRAY)
     middle = (x + width // 2, _TOP + height // 2)
     _text(draw, (middle[0], middle[1] - 16), "Not taken yet", 24, _GRAY, "mm")
-    message = "step(action) moves the camera and looks again"
+    message = "step(action) moves the camera and takes it"
     _text(draw, (middle[0], middle[1] + 18), message, 16, _GRAY, "mm")
 
 
-def _score(
+def _error_text(
     draw: ImageDraw.ImageDraw, at: tuple[int, int], model: ObjectModel, add: float | None
 ) -> None:
-    """The error below a panel: in millimeters, then as a share of the diameter."""
+    """Writes the error below a panel, in millimeters and relative to the diameter."""
     if add is None:
         _text(draw, at, "no estimate", 20, _GRAY)
         return
     measure = "ADD-S" if model.symmetric else "ADD"
     end = _text(draw, at, f"{measure}  {1e3 * add:.1f} mm", 24)
-    share = add / model.diameter
-    verdict = "within" if share < 0.1 else "over"
-    note = f"{100 * share:.1f} % of the diameter, {verdict} the limit of 10 %"
-    _text(draw, (end + 16, at[1]), note, 18, _GOOD if share < 0.1 else _GRAY)
+    ratio = add / model.diameter
+    verdict = "within" if ratio < 0.1 else "over"
+    note = f"{100 * ratio:.1f} % of the diameter, {verdict} the limit of 10 %"
+    _text(draw, (end + 16, at[1]), note, 18, _GREEN if ratio < 0.1 else _GRAY)
 
 
 def _legend(draw: ImageDraw.ImageDraw, right: int, y: int, estimated: bool) -> None:
@@ -141,10 +139,10 @@ def _text(
     at: tuple[int, int],
     text: str,
     size: int,
-    color: tuple[int, int, int] = _INK,
+    color: tuple[int, int, int] = _TEXT,
     anchor: str = "lm",
 ) -> int:
-    """Writes one line; returns where it ends (x)."""
+    """Writes one line; returns the x where it ends."""
     draw.text(at, text, fill=color, font=_font(size), anchor=anchor)
     return at[0] + int(_font(size).getlength(text))
 

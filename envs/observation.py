@@ -1,12 +1,7 @@
-"""The observation space, and how an observation is made.
-
-Everything comes from the estimate, the reference image and the robot's own camera poses; ground
-truth has no way in.
-"""
+"""The observation: computed from the estimate, the reference image and the camera poses only."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -19,9 +14,9 @@ from ..pose_estimator.types import PoseEstimate
 
 KEYPOINTS = 9
 CROP_SCALE = 2.5
-"""Side of the crop in sides of the detection: it shows what may occlude the object elsewhere."""
+"""Side of the crop over that of the detection: it shows what may occlude the object elsewhere."""
 UNCERTAINTY_UNIT = 0.01
-"""Keypoint uncertainty is log10 of its standard deviation over this many meters."""
+"""Uncertainty is log10 of a keypoint's standard deviation in this unit, meters."""
 
 # Out-of-range estimates are clipped to the space.
 _TRANSLATION_LOW = np.array([-1.0, -1.0, 0.0], dtype=np.float32)
@@ -35,13 +30,13 @@ Observation = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class SpherePosition:
-    """A camera pose as seen from the middle of a view sphere.
+    """A camera pose in spherical coordinates about the center of a view sphere.
 
     Attributes:
-        distance: from the middle to the camera's center, meters.
+        distance: from that center to the camera's center, meters.
         azimuth: about the world's z axis, radians, 0 along +x.
-        elevation: above the horizontal through the middle, radians.
-        roll: of the image about the optical axis, radians; 0 when its rows are horizontal.
+        elevation: above the horizontal plane through the center, radians.
+        roll: of the image about the optical axis, radians; 0 if its rows are horizontal.
     """
 
     distance: float
@@ -51,7 +46,7 @@ class SpherePosition:
 
     @classmethod
     def of(cls, T_cam_world: np.ndarray, center: np.ndarray) -> SpherePosition:
-        """Reads a camera pose (4, 4) as seen from ``center`` (3,), meters in the world."""
+        """Converts a camera pose (4, 4) relative to ``center`` (3,), world, meters."""
         T_world_cam = invert(T_cam_world)
         x, y, z = T_world_cam[:3, 3] - center
         right, down = T_world_cam[:3, 0], T_world_cam[:3, 1]
@@ -64,7 +59,7 @@ class SpherePosition:
 
 
 def observation_space(object_count: int, image_size: int) -> spaces.Dict:
-    """The space of ``make_observation``'s dictionaries (see ``TwoViewPoseEnv``)."""
+    """The observation space; see ``TwoViewPoseEnv``."""
 
     def box(low: float | np.ndarray, high: float | np.ndarray, size: int) -> spaces.Box:
         return spaces.Box(low, high, (size,), np.float32)
@@ -90,34 +85,28 @@ def make_observation(
     reference_azimuth: float,
     object_index: int,
 ) -> Observation:
-    """Builds one observation, every array new and within ``space``.
+    """Builds one observation of new arrays, clipped to ``space``.
 
     Args:
         space: from ``observation_space``.
-        estimate: the newest estimate; None leaves its fields zero and crops the image's middle.
+        estimate: the latest estimate; None: its fields are zero, and the crop is the image's
+            center.
         reference_image: RGB uint8, (H, W, 3).
-        camera: the newest camera pose, seen from the estimated object.
+        camera: the latest camera, relative to the estimated object.
         reference_azimuth: azimuth of the reference camera, radians.
-        object_index: which object is the target.
+        object_index: of the target.
     """
     boxes = cast(dict[str, spaces.Box], space.spaces)
     one_hot = np.zeros_like(boxes["object"].low)
     one_hot[object_index] = 1.0
-    azimuth = camera.azimuth - reference_azimuth
+    angles = (camera.elevation, camera.azimuth - reference_azimuth, camera.roll)
     values: dict[str, np.ndarray] = {
         "rotation": np.zeros(6),
         "translation": np.zeros(3),
         "uncertainty": np.zeros(KEYPOINTS),
         "score": np.zeros(1),
         "object": one_hot,
-        "camera": np.array(
-            [
-                camera.distance,
-                *_sin_cos(camera.elevation),
-                *_sin_cos(azimuth),
-                *_sin_cos(camera.roll),
-            ]
-        ),
+        "camera": np.array([camera.distance, *(f(a) for a in angles for f in (np.sin, np.cos))]),
     }
     if estimate is not None:
         values["rotation"] = rotation_to_6d(estimate.T_cam_obj[:3, :3])
@@ -132,19 +121,15 @@ def make_observation(
     return observation
 
 
-def _sin_cos(angle: float) -> Sequence[float]:
-    return np.sin(angle), np.cos(angle)
-
-
 def _log_uncertainty(covariance: np.ndarray) -> np.ndarray:
-    """log10 of each keypoint's standard deviation over 1 cm, (9,); not a number counts as huge."""
+    """log10 of each keypoint's standard deviation over 1 cm, (9,); NaN counts as infinite."""
     variance = np.trace(np.asarray(covariance, dtype=np.float64), axis1=1, axis2=2)
     deviation = np.sqrt(np.clip(np.nan_to_num(variance, nan=np.inf), 1e-12, 1e12))
     return np.log10(deviation / UNCERTAINTY_UNIT)
 
 
 def _crop(image: np.ndarray, estimate: PoseEstimate | None, size: int) -> np.ndarray:
-    """The reference image around the detection, (size, size, 3); gray outside the frame."""
+    """Crops the image around the detection, (size, size, 3); gray outside the image."""
     height, width = image.shape[:2]
     center, side = np.array([(width - 1) / 2, (height - 1) / 2]), float(min(height, width))
     if estimate is not None and estimate.rois:

@@ -1,4 +1,4 @@
-"""The interface between the environments and whatever estimates the pose."""
+"""The interface of a pose estimator, as the environments use it."""
 
 from __future__ import annotations
 
@@ -15,13 +15,11 @@ from ..pose_estimator.types import PoseEstimate
 
 @runtime_checkable
 class PoseEstimator(Protocol):
-    """Anything that estimates the pose of an object from one or two views of it.
+    """Estimates the pose of an object from one or more views.
 
-    A caller's own estimator needs ``estimate`` only. If it also has ``object_names``, the
-    environment refuses objects that are not among them. If it has ``estimate_batch(requests)``,
-    which takes a list of (views, object name) and returns what ``estimate`` does for each, it is
-    called once for many pairs of views; and by vector environments from two threads if its
-    ``thread_safe`` is true.
+    Your own estimator needs ``estimate`` only. Optional: ``object_names``, the objects that it
+    knows; ``estimate_batch(requests)``, which estimates a list of (views, object name) in one call;
+    and ``thread_safe``: if true, vector environments call it from two threads.
     """
 
     def estimate(self, views: Sequence[View], object_name: str) -> PoseEstimate:
@@ -29,8 +27,8 @@ class PoseEstimator(Protocol):
 
         Args:
             views: the reference view, then the second view if there is one. Their ``T_cam_world``
-                share one world frame; nothing else is known about it.
-            object_name: the object to look for.
+                share one arbitrary world frame.
+            object_name: the target.
 
         Returns:
             A pose, always: a poor one rather than none.
@@ -39,8 +37,8 @@ class PoseEstimator(Protocol):
 
 
 @cache
-def _load(method: str, device: str) -> PoseEstimator:
-    """Loads shipped weights once a process and device, for all its environments."""
+def load_shipped(method: str, device: str) -> PoseEstimator:
+    """Loads shipped weights, once per process and device."""
     from .. import pose_estimator
 
     return pose_estimator.load(method, device=device)
@@ -49,14 +47,7 @@ def _load(method: str, device: str) -> PoseEstimator:
 def resolve_estimator(
     estimator: str | Path | PoseEstimator | None, device: str = "auto"
 ) -> PoseEstimator | None:
-    """Turns the environment's ``estimator`` argument into an estimator.
-
-    Args:
-        estimator: the name of a method whose shipped weights are loaded (``"mid"``,
-            ``"single"``), a ``.safetensors`` file of your own for ``"mid"``, an object with an
-            ``estimate`` method, or None for rendering only.
-        device: where an estimator that is loaded here runs, see ``pose_estimator.load``. An object
-            of your own has chosen its own; without an estimator it means nothing.
+    """Converts the arguments ``estimator`` and ``device`` of ``TwoViewPoseEnv`` to an estimator.
 
     Raises:
         InputError: if the estimator is none of these, there is no such device, or a device is given
@@ -69,7 +60,7 @@ def resolve_estimator(
         # One estimator for "auto" and the name of the same device.
         found = str(resolve_device(device))
         if Path(estimator).suffix != ".safetensors":
-            return _load(str(estimator), found)
+            return load_shipped(str(estimator), found)
         from .. import pose_estimator
 
         return pose_estimator.load("mid", estimator, device=found)
@@ -80,17 +71,17 @@ def resolve_estimator(
         )
     if device != "auto":
         raise InputError(
-            "device is for an estimator that is loaded by name or from a file; your own object "
-            f'runs where you made it: leave device at "auto", got {device!r}'
+            "device applies to an estimator loaded by name or from a file; for your own object "
+            f'leave device at "auto", got {device!r}'
         )
     return estimator
 
 
 def check_known_objects(estimator: PoseEstimator | None, object_names: Sequence[str]) -> None:
-    """Refuses objects for which the estimator has not been trained.
+    """Checks that the estimator was trained on the objects.
 
     Raises:
-        InputError: naming the unknown objects, the known ones and the training command.
+        InputError: if not; with the unknown objects, the known ones and the training command.
     """
     known = getattr(estimator, "object_names", None)
     if known is None:
@@ -99,8 +90,8 @@ def check_known_objects(estimator: PoseEstimator | None, object_names: Sequence[
     if unknown:
         raise InputError(
             f"the estimator does not know the object(s) {', '.join(unknown)}; it was trained on "
-            f"{', '.join(known)}. Train one that does with `python -m two_view_pose "
-            f"train-estimator --objects {' '.join(object_names)} --data DIR --init linemod --out "
-            'DIR` and pass its weights as estimator="DIR/weights.safetensors", or pass '
-            "estimator=None to render without estimating, or pass your own estimator"
+            f"{', '.join(known)}. Train one with `python -m two_view_pose train-estimator "
+            f"--objects {' '.join(object_names)} --data DIR --init linemod --out DIR` and pass "
+            'estimator="DIR/weights.safetensors", or pass estimator=None to render without '
+            "estimating, or your own estimator"
         )

@@ -1,4 +1,4 @@
-"""Two-View Pose over recorded views: nothing is rendered, nothing estimated."""
+"""Two-View Pose over recorded views, without rendering and estimation."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 
 from ..core.errors import InputError
+from ..core.validation import require_within
 from ..pose_estimator.types import PoseEstimate
 from .actions import box_view, candidate_view, check_candidates
 from .episode import ground_truth
@@ -22,9 +23,8 @@ from .simulation.carrier import angle_at, camera_center
 from .view_banks.bank import ViewBank, read_bank
 from .view_banks.mirror import Mirror
 
-_METER = np.deg2rad(60.0)
-"""How many radians between directions a meter of distance counts as where a Box action is matched
-to a recorded view."""
+_RADIANS_PER_METER = np.deg2rad(60.0)
+"""Weight of the distance against the angle when a Box action is matched to a recorded view."""
 
 
 class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
@@ -33,9 +33,8 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
     ## Description
 
     The same observations, actions, rewards and infos as in the live environments, at thousands of
-    steps a second: what every candidate view led to has been recorded. A bank can be of simulated
-    scenes or of real photographs, so that a policy that was trained in simulation is evaluated on
-    photographs unchanged.
+    steps a second, from the recorded outcome of every candidate view. A bank holds simulated scenes
+    or real photographs, so a policy trained in simulation can be evaluated on photographs.
 
     ```python
     env = gym.make("two_view_pose:TwoViewPoseReplay-v0", bank="bank.npz")
@@ -43,13 +42,13 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
 
     ## Action Space
 
-    With `action="discrete"`, that of `TwoViewPoseDiscrete-v0`: the number of a candidate view. With
-    `action="box"`, that of `TwoViewPose-v0`; the recorded view is taken that is nearest in
-    direction from the object and distance.
+    With `action="discrete"`, that of `TwoViewPoseDiscrete-v0`: the index of a candidate view. With
+    `action="box"`, that of `TwoViewPose-v0`; it takes the recorded view that is nearest in
+    direction and distance.
 
     ## Starting State
 
-    A scene of the bank, drawn from the seed; `reset(options={"scene": 17})` asks for one.
+    A random scene of the bank; `reset(options={"scene": 17})` chooses one.
 
     ## Arguments
 
@@ -60,8 +59,7 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
     | `travel_weight` | 0.05         | cost of a meter of camera travel                           |
     | `scenes`        | None         | (first, end): only these scenes of the bank                |
     | `mirror`        | False        | flip scenes left to right with probability 0.5             |
-    | `shuffle`       | True         | draw scenes; False: one after the other, in the bank's     |
-    |                 |              | order                                                      |
+    | `shuffle`       | True         | sample scenes at random; False: in the bank's order        |
 
     ## Version History
 
@@ -83,28 +81,25 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
     ) -> None:
         if action not in ("discrete", "box"):
             raise InputError(f"action must be discrete or box, got {action!r}")
-        if not (np.isfinite(travel_weight) and travel_weight >= 0):
-            raise InputError(f"travel_weight must be a number of at least 0, got {travel_weight}")
+        self.travel_weight = float(travel_weight)
+        require_within(self, 0, np.inf, "travel_weight")
         self.render_mode = render_mode
         self.bank = bank if isinstance(bank, ViewBank) else load_bank_cached(os.fspath(bank))
         if not self.bank.has_estimates:
             raise InputError(
-                "bank holds no estimates of second views (it was recorded with --no-estimates): "
-                "such a bank serves only to train agents with --algo greedy --visibility-bank"
+                "bank has no estimates of second views (it was recorded with --no-estimates): "
+                "it can only train agents with --algo greedy --visibility-bank"
             )
         first, end = (0, len(self.bank)) if scenes is None else scenes
         if not 0 <= first < end <= len(self.bank):
             raise InputError(f"scenes must lie within 0 to {len(self.bank)}, got {scenes}")
         self._scenes = range(first, end)
         self._shuffle, self._next = shuffle, 0
-        self.travel_weight = float(travel_weight)
         self.object_names = self.bank.header.object_names
         self._candidates = check_candidates(self.bank.header.candidate_views)
         self._mirror = Mirror(self._candidates) if mirror else None
-        image_size = self.bank.first["image"].shape[1]
-        self.observation_space: spaces.Space[Any] = observation_space(
-            len(self.object_names), image_size
-        )
+        space = observation_space(len(self.object_names), self.bank.first["image"].shape[1])
+        self.observation_space: spaces.Space[Any] = space
         self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (3,), np.float32)
         if action == "discrete":
             self.action_space = spaces.Discrete(self.bank.slots)
@@ -113,9 +108,9 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
 
     @property
     def scene(self) -> int:
-        """Number of the running episode's scene in the bank."""
+        """Index of the episode's scene in the bank."""
         if self._scene is None:
-            raise ResetNeeded("there is no episode yet: call reset() first")
+            raise ResetNeeded("there is no episode: call reset() first")
         return self._scene
 
     @property
@@ -130,7 +125,7 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
 
     @property
     def intrinsics(self) -> np.ndarray:
-        """The camera matrix of the reference view, (3, 3)."""
+        """Camera matrix of the reference view, (3, 3)."""
         return self.bank.K[self.scene].copy()
 
     @property
@@ -140,16 +135,16 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
 
     @property
     def sphere_center(self) -> np.ndarray:
-        """The middle of the view sphere, (3,), world."""
+        """Center of the view sphere, (3,), world."""
         return self.bank.center[self.scene].copy()
 
     @property
     def reference_position(self) -> SpherePosition:
-        """The reference camera as seen from the middle of the view sphere."""
+        """The reference camera in spherical coordinates about the view sphere's center."""
         return SpherePosition.of(self.T_cam_world, self.sphere_center)
 
     def camera_pose(self, action: Any) -> np.ndarray:
-        """The recorded camera that an action would choose: T_cam_world (4, 4).
+        """The recorded camera that an action would lead to: T_cam_world (4, 4).
 
         Raises:
             InputError: if the action is not in the action space.
@@ -159,11 +154,11 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Draws a scene of the bank.
+        """Samples a scene of the bank.
 
         Args:
-            seed: of the environment's random numbers; None goes on with them.
-            options: ``scene``, the number of one in the bank.
+            seed: of the environment's random number generator; None keeps its state.
+            options: ``scene``, the index of a scene in the bank.
 
         Raises:
             InputError: if there is no such scene or option.
@@ -182,12 +177,12 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         """Takes a recorded second view; the episode ends.
 
         Raises:
-            InputError: if the action is NaN or out of the action space.
+            InputError: if the action is NaN or not in the action space.
             ResetNeeded: if the episode has ended.
         """
         scene, bank = self.scene, self.bank
         if self._ended:
-            raise ResetNeeded("the episode ended with its second view: call reset() first")
+            raise ResetNeeded("the episode has ended: call reset() first")
         slot = self._slot(action)
         self._ended = True
         fixed = {key: bank.first[key][scene].copy() for key in ("object", "image")}
@@ -197,26 +192,23 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         reward = -min(error, 1.0) - self.travel_weight * travel
         return self._mirror_if_drawn(observation), reward, True, False, self._info(slot)
 
-    def simulate_action(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """What ``step(action)`` would return now; the episode stays as it is."""
-        output = self.step(action)
-        self._ended = False
-        return output
-
     def simulate_actions(
         self, actions: Sequence[Any]
     ) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
-        """What ``step`` would return now for each action."""
-        return [self.simulate_action(action) for action in actions]
+        """Returns what ``step`` would return for each action, without taking it."""
+        outputs = []
+        for action in actions:
+            outputs.append(self.step(action))
+            self._ended = False
+        return outputs
 
     def _mirror_if_drawn(self, observation: Observation) -> Observation:
-        if self._mirrored:
-            assert self._mirror is not None
-            return self._mirror.observation(observation)
-        return observation
+        if self._mirror is None or not self._mirrored:
+            return observation
+        return self._mirror.observation(observation)
 
     def _slot(self, action: Any) -> int:
-        """The recorded view that an action means in the running scene."""
+        """The index of the recorded view that an action chooses."""
         if isinstance(self.action_space, spaces.Discrete):
             slot = candidate_view(action, self.bank.slots)
             return int(self._mirror.slots[slot]) if self._mirror and self._mirrored else slot
@@ -232,7 +224,7 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
         distances = np.linalg.norm(offsets, axis=1)
         cosine = (offsets @ offset) / (distances * np.linalg.norm(offset))
         angle = np.arccos(np.clip(cosine, -1, 1))
-        return int(np.argmin(angle + _METER * np.abs(distances - distance)))
+        return int(np.argmin(angle + _RADIANS_PER_METER * np.abs(distances - distance)))
 
     def _info(self, slot: int | None) -> dict[str, Any]:
         bank, scene = self.bank, self.scene
@@ -259,12 +251,12 @@ class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
 
 @lru_cache(maxsize=4)
 def load_bank_cached(path: str) -> ViewBank:
-    """Reads a bank once a process, for all environments over it."""
+    """Reads a bank once per process."""
     return read_bank(path)
 
 
 def _requested_scene(options: Mapping[str, Any] | None, scenes: range, drawn: int) -> int:
-    """The scene that the options of ``reset`` ask for, else the drawn one."""
+    """The scene in the options of ``reset``, else ``drawn``."""
     unknown = sorted(set(options or {}) - {"scene"})
     if unknown:
         raise InputError(f"unknown reset option(s) {unknown}; allowed is scene")

@@ -1,4 +1,4 @@
-"""More than one second view: look again until the pose is good enough, or the budget is spent."""
+"""Several second views: take more until the pose is good enough or the budget is spent."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.error import ResetNeeded
 
 from ..core.errors import InputError
+from ..core.validation import require_within
 from .actions import candidate_view
 from .episode import Episode
 from .observation import Observation
@@ -23,37 +23,37 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
 
     ## Description
 
-    After every view the estimator answers from all views so far, and the agent decides: look once
-    more, and from where, or stop. Every view costs time and every meter a little; what counts in
-    the end is the accuracy of the last pose.
+    After every view the estimator estimates the pose from all views so far, and the agent decides:
+    take another view, and from where, or stop. Each view and each meter of travel has a cost; the
+    accuracy of the last pose is rewarded at the end.
 
     ## Action Space
 
-    `Discrete(25)`: the 24 candidates of `TwoViewPoseDiscrete-v0`, always around the object as the
-    reference view estimated it and counted from the reference camera's azimuth; 24 stops.
+    `Discrete(25)`: the 24 candidates of `TwoViewPoseDiscrete-v0`, always around the object as
+    estimated from the reference view and relative to the reference camera's azimuth; 24 stops.
 
     ## Observation Space
 
-    That of `TwoViewPose-v0`, of the newest estimate and camera, and
+    That of `TwoViewPose-v0`, for the latest estimate and camera, and
 
     | Key          | Shape | Content                                              |
     |--------------|-------|------------------------------------------------------|
-    | `views_left` | (1,)  | share of the budget that is left, 0 to 1             |
+    | `views_left` | (1,)  | fraction of the budget that is left, 0 to 1          |
     | `taken`      | (24,) | 1 where a candidate has been taken in this episode   |
 
     ## Rewards
 
-    `-view_weight - travel_weight * travel` for each view, where `travel` is the way from the camera
-    before; and when the episode ends `-min(ADD(-S) / diameter, 1)`.
+    `-view_weight - travel_weight * travel` for each view, where `travel` is the distance from the
+    previous camera; and at the end of the episode `-min(ADD(-S) / diameter, 1)`.
 
     ## Episode End
 
-    `terminated` with the action to stop, or with the last view of the budget.
+    `terminated` by the stop action, or with the last view of the budget.
 
     ## Info
 
-    As in `TwoViewPose-v0`; `ground_truth["add_second"]` is the error of the newest estimate, of the
-    first one before any second view; `second_views` counts these.
+    As in `TwoViewPose-v0`; `ground_truth["add_second"]` is the error of the latest estimate (before
+    any second view, of the first one); `second_views` is the number of second views.
 
     ## Arguments
 
@@ -61,7 +61,7 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
 
     | Argument      | Default | Meaning                                |
     |---------------|---------|----------------------------------------|
-    | `budget`      | 3       | maximum of second views, 1 to 7       |
+    | `budget`      | 3       | maximum number of second views, 1 to 7 |
     | `view_weight` | 0.02    | cost of a second view                  |
 
     ## Version History
@@ -72,29 +72,27 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
     def __init__(self, *, budget: int = 3, view_weight: float = 0.02, **kwargs: Any) -> None:
         if not 1 <= budget < MAX_VIEWS:
             raise InputError(f"budget must be 1 to {MAX_VIEWS - 1} second views, got {budget}")
-        if not (np.isfinite(view_weight) and view_weight >= 0):
-            raise InputError(f"view_weight must be a number of at least 0, got {view_weight}")
-        self._budget, self._view_weight = budget, float(view_weight)
+        self._budget, self.view_weight = budget, float(view_weight)
+        require_within(self, 0, np.inf, "view_weight")
         self._taken: list[int] = []
         super().__init__(**kwargs)
-        more = {
-            "views_left": spaces.Box(0.0, 1.0, (1,), np.float32),
-            "taken": spaces.Box(0.0, 1.0, (len(self._candidates),), np.float32),
-        }
-        self.observation_space = spaces.Dict({**self._fields.spaces, **more})
+        left = spaces.Box(0.0, 1.0, (1,), np.float32)
+        taken = spaces.Box(0.0, 1.0, (len(self._candidates),), np.float32)
+        added = {"views_left": left, "taken": taken}
+        self.observation_space = spaces.Dict({**self._fields.spaces, **added})
 
     @property
     def stop_action(self) -> int:
-        """The action that ends the episode with the newest estimate."""
+        """The action that ends the episode with the latest estimate."""
         return len(self._candidates)
 
     @property
     def T_newest_world(self) -> np.ndarray:
-        """The newest camera, (4, 4)."""
+        """The latest camera, (4, 4)."""
         return self._running().cameras[-1].copy()
 
     def make_action_space(self) -> spaces.Space[Any]:
-        """The number of a candidate view, or to stop."""
+        """The index of a candidate view, or the stop action."""
         return spaces.Discrete(len(self._candidates) + 1)
 
     def reset(
@@ -105,15 +103,13 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
         return super().reset(seed=seed, options=options)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Takes one more view, or stops.
+        """Takes another view, or stops.
 
         Raises:
-            InputError: if the action is out of the action space.
+            InputError: if the action is not in the action space.
             ResetNeeded: if the episode has ended.
         """
-        episode = self._running()
-        if episode.ended:
-            raise ResetNeeded("the episode has ended: call reset() first")
+        episode = self._unfinished()
         chosen = candidate_view(action, len(self._candidates) + 1)
         reward = 0.0
         if chosen == self.stop_action:
@@ -122,8 +118,8 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
             motion = self._carrier.move(self.camera_pose(chosen))
             episode.travel += motion.travel
             self._taken = [*self._taken, chosen]
-            self._look(motion.T_cam_world)
-            reward -= self._view_weight + self.travel_weight * motion.travel
+            self._add_rendered_view(motion.T_cam_world)
+            reward -= self.view_weight + self.travel_weight * motion.travel
             episode.ended = len(self._taken) == self._budget
         if episode.ended:
             reward -= episode.error_ratio
@@ -134,19 +130,19 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
     def simulate_actions(
         self, actions: Sequence[Any]
     ) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
-        """What ``step`` would return now for each action; the episode stays as it is."""
+        """Returns what ``step`` would return for each action, without taking it."""
         outputs = []
         for action in actions:
-            with self._restored_afterwards() as before:
+            with self._restored_episode() as before:
                 self._episode = before.copy()
                 outputs.append(self.step(action))
         return outputs
 
     @contextmanager
-    def _restored_afterwards(self) -> Iterator[Episode]:
+    def _restored_episode(self) -> Iterator[Episode]:
         taken = self._taken
         try:
-            with super()._restored_afterwards() as before:
+            with super()._restored_episode() as before:
                 yield before
         finally:
             self._taken = taken

@@ -1,4 +1,4 @@
-"""What a step would return, without taking it: for recording, and for the oracle."""
+"""Counterfactual steps: what a step would return, for recording and for the oracle."""
 
 from __future__ import annotations
 
@@ -12,30 +12,19 @@ from .episode import Episode
 from .observation import Observation
 
 
-class PeekingEnv(ViewSelectionEnv):
-    """An environment that can be asked what a step would return."""
-
-    def simulate_action(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """What ``step(action)`` would return now; the episode stays as it is.
-
-        Raises:
-            InputError: as :meth:`step`.
-            ResetNeeded: as :meth:`step`.
-        """
-        return self.simulate_actions([action])[0]
+class CounterfactualEnv(ViewSelectionEnv):
+    """An environment that can return the outcome of a step without taking it."""
 
     def simulate_actions(
         self, actions: Sequence[Any]
     ) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
-        """What ``step`` would return now for each action, estimated in batches.
-
-        For recording many second views of one scene, and for the policy that knows the answer.
+        """Returns what ``step`` would return for each action, with estimates in batches.
 
         Raises:
             InputError: as :meth:`step`.
             ResetNeeded: as :meth:`step`.
         """
-        with self._restored_afterwards() as before:
+        with self._restored_episode() as before:
             outputs = []
             size = batch_size(self._estimator)
             for start in range(0, len(actions), size):
@@ -57,8 +46,8 @@ class PeekingEnv(ViewSelectionEnv):
             return outputs
 
     @contextmanager
-    def _restored_afterwards(self) -> Iterator[Episode]:
-        """Afterwards the episode is what it was before, whatever was done to it."""
+    def _restored_episode(self) -> Iterator[Episode]:
+        """Yields the episode, and restores it at the end of the block."""
         before, mode = self._running(), self.render_mode
         self.render_mode = None
         try:

@@ -1,4 +1,4 @@
-"""Two-View Pose: look once, decide from where to look again, know where the object is."""
+"""Two-View Pose: choose the second view from which an object's 6D pose is estimated."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from .actions import box_view, candidate_view, check_candidates
-from .simulate_actions import PeekingEnv
+from .simulate_actions import CounterfactualEnv
 from .simulation.camera import CAMERA_RANGE, view_sphere_pose
 
 CANDIDATE_VIEWS: tuple[tuple[float, float], ...] = tuple(
@@ -19,19 +19,19 @@ CANDIDATE_VIEWS: tuple[tuple[float, float], ...] = tuple(
 """The 24 views of TwoViewPoseDiscrete-v0: (azimuth offset, elevation), degrees."""
 
 
-class TwoViewPoseEnv(PeekingEnv):
-    """Choose the second view that best tells where an object is.
+class TwoViewPoseEnv(CounterfactualEnv):
+    """Choose the second view from which an object's pose is estimated best.
 
     ## Description
 
-    An object stands on a table among clutter that hides part of it. A camera has taken one image,
-    and a pose estimator has estimated the object's 6D pose from it: often wrong in depth, and
-    worse under occlusion. The camera may now move once and look again; the estimator then uses
-    both images. The agent chooses where to look from. The reward is the accuracy of the final
-    pose, less a small cost for the camera's travel.
+    An object stands on a table, partly occluded by clutter. A camera has taken one image, and a
+    pose estimator has estimated the object's 6D pose from it: often wrong in depth, and worse
+    under occlusion. The camera can now move once and take a second image; the estimator then uses
+    both. The agent chooses the second viewpoint. The reward is the accuracy of the final pose,
+    minus a small cost for the camera's travel.
 
     Scenes are rendered by MuJoCo with LineMOD's camera (640x480) and objects modeled on LineMOD's
-    thirteen. Each scene's lights, textures and sensor are drawn anew. One decision is one episode.
+    thirteen. Lights, textures and sensor are randomized for each scene. An episode is one decision.
 
     ```python
     import gymnasium as gym
@@ -40,13 +40,13 @@ class TwoViewPoseEnv(PeekingEnv):
     observation, info = env.reset(seed=1, options={"object": "duck"})
     observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
     print(info["ground_truth"]["add_first"], info["ground_truth"]["add_second"])  # meters
-    picture = env.render()
+    frame = env.render()
     ```
 
     ## Action Space
 
-    `Box(-1, 1, (3,), float32)`: a place on the view spheres around the *estimated* object, which
-    the camera then looks at, level.
+    `Box(-1, 1, (3,), float32)`: a position on the view spheres around the *estimated* object, at
+    which the camera then looks, without roll.
 
     | Num | Action                                             | -1      | 1      |
     |-----|----------------------------------------------------|---------|--------|
@@ -55,7 +55,7 @@ class TwoViewPoseEnv(PeekingEnv):
     | 2   | distance from the estimated object                 | 0.6 m   | 1.4 m  |
 
     Elevation is absolute, so that every action is a different view and none is clipped; the
-    observation tells where the camera is now.
+    observation has the current camera.
 
     ## Observation Space
 
@@ -69,15 +69,15 @@ class TwoViewPoseEnv(PeekingEnv):
     | `uncertainty` | (9,)        | log10(sigma / 1 cm) of each keypoint, -2 to 2            |
     | `score`       | (1,)        | detection confidence in the reference view, 0 to 1       |
     | `object`      | (n,)        | one-hot of the target among `objects`                    |
-    | `camera`      | (7,)        | the newest camera, seen from the estimated object        |
-    | `image`       | (64, 64, 3) | uint8 RGB crop of the reference view: the detection and  |
-    |               |             | what stands around it, 2.5 times as wide                 |
+    | `camera`      | (7,)        | the latest camera, seen from the estimated object        |
+    | `image`       | (64, 64, 3) | uint8 RGB crop of the reference view around the          |
+    |               |             | detection, 2.5 times as wide                             |
 
     `sigma` is the square root of the trace of the keypoint's covariance. `camera` holds the
     distance (meters, 0 to 3), then sine and cosine of the elevation, of the azimuth from the
     reference camera's, and of the roll about the optical axis.
 
-    After the step the observation is that of the new estimate, in the same layout.
+    After the step the observation is that of the new estimate; `image` stays.
 
     ## Rewards
 
@@ -85,21 +85,21 @@ class TwoViewPoseEnv(PeekingEnv):
 
     ADD(-S) is the mean distance of the model's points under the final and the true pose (ADD-S
     for symmetric objects: eggbox, glue); `travel` is the length of the camera's path in meters.
-    Between -1 - 0.05 * travel and 0.
+    The reward is between -1 - 0.05 * travel and 0.
 
     ## Starting State
 
     Target, clutter, lights, textures and the reference camera (0.6 to 1.4 m, elevation 7 to 82
-    degrees) are drawn from the seed. `reset(options=...)` fixes any of:
+    degrees) are sampled with the seed. `reset(options=...)` fixes any of:
 
     | Option             | Value                                                           |
     |--------------------|-----------------------------------------------------------------|
     | `object`           | name of the target                                              |
-    | `scene_seed`       | integer from which everything drawn in the episode follows      |
+    | `scene_seed`       | integer: the seed of everything random in the episode           |
     | `reference_camera` | `T_cam_world` (4x4), or a dict of `distance` (m), `azimuth` and |
-    |                    | `elevation` (rad) on a sphere around the table's middle         |
+    |                    | `elevation` (rad) on a sphere around the table's center         |
 
-    An episode is played again with `info["scene_seed"]` and `info["object"]`.
+    `info["scene_seed"]` and `info["object"]` as options replay an episode.
 
     ## Episode End
 
@@ -107,22 +107,22 @@ class TwoViewPoseEnv(PeekingEnv):
 
     ## Info
 
-    `object`, `diameter` (m), `scene_seed`, `T_cam_world` (the newest camera), `T_cam_obj` (the
-    newest estimate), `travel` (m), `baseline_deg` (angle between the two views at the estimated
-    object). What no agent may use is under `ground_truth`: `T_cam_obj`, `visibility` of the target
-    in the reference view (0 to 1), `add_first`, after the step `add_second` (both ADD(-S), m), and
-    `success` (the newest error is below a tenth of the diameter).
+    `object`, `diameter` (m), `scene_seed`, `T_cam_world` (the latest camera), `T_cam_obj` (the
+    latest estimate), `travel` (m), `baseline_deg` (angle between the two views at the estimated
+    object). Agents must not use `ground_truth`: `T_cam_obj`, `visibility` of the target in the
+    reference view (0 to 1), `add_first`, after the step `add_second` (both ADD(-S), m), and
+    `success` (the latest error is below a tenth of the diameter).
 
     ## Vector environments
 
     `gym.make_vec("two_view_pose:TwoViewPose-v0", num_envs=8)` is a `TwoViewPoseVectorEnv`:
-    sub-environment `i` returns exactly what a single environment with its seed does (an estimator
-    on a GPU rounds a batch otherwise), but estimates are batched, while other processes arrange
-    and render (`workers`; 0: none). A sub-environment resets in the very step that ends its
-    episode (`AutoresetMode.SAME_STEP`), as every step does here; the final observation and info
-    are `infos["final_obs"]` and `infos["final_info"]`. Workers are spawned: a
-    script needs `if __name__ == "__main__":`. Gymnasium's own vectorizers default to `NEXT_STEP`,
-    which would waste every second step; ask them for the same:
+    sub-environment `i` returns exactly what a single environment with its seed does (a GPU rounds
+    batches differently), but estimates are batched, and worker processes set up and render scenes
+    (`workers`; 0: none). A sub-environment resets in the step that ends its episode
+    (`AutoresetMode.SAME_STEP`), which is every step; the final observation and info are
+    `infos["final_obs"]` and `infos["final_info"]`. Workers are spawned: a script needs
+    `if __name__ == "__main__":`. Gymnasium's own vector environments default to `NEXT_STEP`, which
+    wastes every second step; choose the same mode:
     `make_vec(..., vectorization_mode="async", vector_kwargs={"autoreset_mode": "SameStep"})`.
 
     ## Arguments
@@ -132,28 +132,28 @@ class TwoViewPoseEnv(PeekingEnv):
     | `objects`       | None         | names, mesh files or a folder of them, or a dict of    |
     |                 |              | `ObjectModel`; None: LineMOD's thirteen                |
     | `scene`         | `"linemod"`  | `"linemod"` (light clutter), `"clutter"` (heavy),      |
-    |                 |              | `"occlusion"` (between tall things),                   |
+    |                 |              | `"occlusion"` (between tall objects),                  |
     |                 |              | `"heap"` (eight close together), or a `SceneConfig`    |
-    | `estimator`     | `"mid"`      | whose shipped weights are loaded (`"mid"`,             |
-    |                 |              | `"single"`); or a `.safetensors` file of your own for  |
-    |                 |              | `"mid"`; or your own object with                       |
-    |                 |              | `estimate(views, object_name)`; or None: rendering     |
-    |                 |              | only, pose fields zero, reward for travel alone        |
-    | `device`        | `"auto"`     | where that estimator runs: `"auto"` (a GPU where there |
+    | `estimator`     | `"mid"`      | a method with shipped weights (`"mid"`, `"single"`);   |
+    |                 |              | a `.safetensors` file of your own for `"mid"`; your    |
+    |                 |              | own object with `estimate(views, object_name)`; or     |
+    |                 |              | None: rendering only, pose fields zero, reward for     |
+    |                 |              | travel only                                            |
+    | `device`        | `"auto"`     | where that estimator runs: `"auto"` (a GPU if there    |
     |                 |              | is one), `"cpu"`, `"cuda"`, `"cuda:N"` or `"mps"`;     |
-    |                 |              | your own object chooses for itself: leave `"auto"`     |
+    |                 |              | leave `"auto"` for an object of your own               |
     | `travel_weight` | 0.05         | cost of a meter of camera travel                       |
     | `pose_noise`    | None         | `PoseNoise` or (degrees, meters): standard deviation   |
-    |                 |              | of the error in the relative camera pose that the      |
-    |                 |              | estimator is given; the images and the truth stay      |
+    |                 |              | of the noise in the relative camera pose that the      |
+    |                 |              | estimator is given; images and ground truth are exact  |
     | `randomization` | None         | a `Randomization` of lights, textures and sensor;      |
     |                 |              | None: its defaults                                     |
     | `image_size`    | 64           | side of the observation's crop, 36 to 256 pixels       |
-    | `resolution`    | (480, 640)   | height and width of the camera's images; of other      |
-    |                 |              | proportions, they show the middle of LineMOD's         |
-    | `carrier`       | None         | what moves the camera (`carrier.py`); None: it flies   |
+    | `resolution`    | (480, 640)   | height and width of the images; another aspect ratio   |
+    |                 |              | is a center crop of LineMOD's                          |
+    | `carrier`       | None         | a `Carrier` that moves the camera; None: it flies      |
     | `render_mode`   | None         | `"rgb_array"`, or `"human"`: a window (with pygame and |
-    |                 |              | a display; otherwise a picture file that it names)     |
+    |                 |              | a display; otherwise an image file, printed once)      |
 
     ## Version History
 
@@ -161,14 +161,11 @@ class TwoViewPoseEnv(PeekingEnv):
     """
 
     def make_action_space(self) -> spaces.Space[Any]:
-        """A place on the view spheres: azimuth offset, elevation, distance."""
+        """A position on the view spheres: azimuth offset, elevation, distance."""
         return spaces.Box(-1.0, 1.0, (3,), np.float32)
 
     def camera_pose(self, action: Any) -> np.ndarray:
-        """Where an action would send the camera now: T_cam_world (4, 4).
-
-        Args:
-            action: (3,) numbers from -1 to 1.
+        """The camera that an action (3,) would lead to now: T_cam_world (4, 4).
 
         Raises:
             InputError: if the action is NaN or not in the action space.
@@ -179,14 +176,14 @@ class TwoViewPoseEnv(PeekingEnv):
         )
 
 
-class TwoViewPoseDiscreteEnv(PeekingEnv):
+class TwoViewPoseDiscreteEnv(CounterfactualEnv):
     """Choose the second view from a list: `TwoViewPose-v0` with `Discrete(24)` actions.
 
     ## Action Space
 
     `Discrete(24)`: eight azimuth offsets from the reference camera (-90, -65, -40, -15, 15, 40, 65,
     90 degrees) times three elevations (20, 45, 70 degrees), elevation changing fastest, at the
-    reference camera's distance from the estimated object (kept within 0.6 to 1.4 m).
+    reference camera's distance from the estimated object (clipped to 0.6 to 1.4 m).
 
     ## Arguments
 
@@ -210,14 +207,11 @@ class TwoViewPoseDiscreteEnv(PeekingEnv):
         super().__init__(**kwargs)
 
     def make_action_space(self) -> spaces.Space[Any]:
-        """The number of a candidate view."""
+        """The index of a candidate view."""
         return spaces.Discrete(len(self._candidates))
 
     def camera_pose(self, action: Any) -> np.ndarray:
-        """Where an action would send the camera now: T_cam_world (4, 4).
-
-        Args:
-            action: number of the candidate view.
+        """The camera that an action would lead to now: T_cam_world (4, 4).
 
         Raises:
             InputError: if the action is not in the action space.

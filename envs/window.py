@@ -1,4 +1,4 @@
-"""Shows frames to a person: in a window where there is one, else as an image file."""
+"""``render_mode="human"``: shows frames in a window, or as an image file without one."""
 
 from __future__ import annotations
 
@@ -14,13 +14,10 @@ from ..core.files import write_atomically
 
 
 class Window:
-    """What ``render_mode="human"`` draws on.
-
-    With pygame and a display it is a window. Without, every frame replaces one PNG file, whose
-    path is printed once to stderr together with what is missing.
+    """A pygame window; without pygame or a display, a PNG file that each frame replaces.
 
     Attributes:
-        file: the PNG file that stands in for a window; None if there is a window or no frame yet.
+        file: the PNG file, printed once to stderr; None if there is a window or no frame yet.
     """
 
     def __init__(self, title: str) -> None:
@@ -41,7 +38,7 @@ class Window:
         self._pygame.display.flip()
 
     def close(self) -> None:
-        """Closes the window; may be called again."""
+        """Closes the window; can be called again."""
         if self._pygame is not None:
             self._pygame.display.quit()
         self._pygame = self.file = None
@@ -56,7 +53,7 @@ class Window:
         except (ImportError, RuntimeError) as error:  # pygame's own error is a RuntimeError
             missing = f"pygame found no display: {error}"
             if isinstance(error, ImportError):
-                missing = "pip install pygame-ce opens one"
+                missing = "pygame is not installed; run `pip install pygame-ce`"
             self.file = Path(tempfile.mkdtemp(prefix="two_view_pose_")) / "frame.png"
             print(f"No window ({missing}): frames go to {self.file}", file=sys.stderr)
         else:

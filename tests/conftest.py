@@ -1,4 +1,4 @@
-"""What every test run says first, and what several files ask for."""
+"""The report header, the marker ``networks``, and shared fixtures."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -31,7 +31,7 @@ def tiny_training() -> Iterator[None]:
         yield
 
 
-ASK_AN_ESTIMATOR = {
+USES_AN_ESTIMATOR = {
     "test_frontend",
     "test_lmo_weights",
     "test_load",
@@ -41,7 +41,7 @@ ASK_AN_ESTIMATOR = {
     "test_shipped",
     "test_shipped_estimator",
     "test_two_view_pose_api",
-    "test_vector",
+    "test_env",
 }
 """Files whose tests run networks though they do not import torch."""
 
@@ -51,7 +51,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         assert isinstance(item, pytest.Function)
         imports_torch = hasattr(item.module, "torch")
-        if imports_torch or item.path.stem in ASK_AN_ESTIMATOR or "networks" in item.fixturenames:
+        if imports_torch or item.path.stem in USES_AN_ESTIMATOR or "networks" in item.fixturenames:
             item.add_marker("networks")
 
 
@@ -64,7 +64,7 @@ def pytest_report_header() -> list[str]:
 
 @pytest.fixture
 def make_bank() -> Callable[..., Any]:
-    """Makes view banks of scenes that nobody has rendered, see ``made_bank.py``."""
+    """Makes synthetic view banks, see ``helpers/made_bank.py``."""
     from helpers.made_bank import made_bank
 
     return made_bank

@@ -1,4 +1,4 @@
-"""`--device`: what every command that runs a network says of it, refuses, and hands on."""
+"""`--device` of every command that runs a network."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ UNKNOWN = "device must be auto, cpu, cuda, cuda:N or mps, got 'tpu'"
     ("device", "message"), [("cuda", NO_GPU), ("cuda:3", NO_GPU), ("tpu", UNKNOWN)]
 )
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_device_that_is_not_there_ends_in_one_line(
+def test_unavailable_device_ends_in_one_line(
     command: str,
     device: str,
     message: str,
@@ -40,7 +40,7 @@ def test_a_device_that_is_not_there_ends_in_one_line(
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     # Whatever is slow begins with one of these, or writes something.
     for slow in ("gymnasium.make", "two_view_pose.envs.commands.evaluate.generate"):
-        monkeypatch.setattr(slow, lambda *_, **__: pytest.fail("the device was looked at too late"))
+        monkeypatch.setattr(slow, lambda *_, **__: pytest.fail("the device was checked too late"))
     options = COMMANDS[command].format(tmp_path).split()
     assert main([command, *options, "--device", device]) == 2
     error = capsys.readouterr().err
@@ -50,19 +50,19 @@ def test_a_device_that_is_not_there_ends_in_one_line(
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_the_help_says_what_there_is(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_the_devices(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main([command, "--help"])
     words = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    _, said = words.split("--device ", maxsplit=1)
+    _, help_text = words.split("--device ", maxsplit=1)
     expected = (
         "Where networks run: auto (a GPU where there is one, else the processor), cpu, cuda, "
         "cuda:N or mps. (default: auto)"
     )
-    assert expected in said.replace("`", "")[:200]
+    assert expected in help_text.replace("`", "")[:200]
 
 
-def test_environments_are_made_with_it(tmp_path: Path) -> None:
+def test_environment_arguments(tmp_path: Path) -> None:
     recording = RecordBankConfig(tmp_path / "bank.npz", device="cuda:1")
     assert recording.environment_arguments["device"] == "cuda:1"
     assert EvaluateAgentConfig(device="cpu").environment_arguments["device"] == "cpu"
@@ -73,7 +73,9 @@ def test_environments_are_made_with_it(tmp_path: Path) -> None:
     assert TrainAgentConfig().device_argument == {}
 
 
-def test_missing_banks_are_recorded_on_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_banks_are_recorded_on_the_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked: list[RecordBankConfig] = []
     monkeypatch.setattr(record_bank, "record_bank", asked.append)
     banks = {"bank": tmp_path / "a.npz", "visibility_bank": tmp_path / "b.npz"}

@@ -1,4 +1,4 @@
-"""A mesh of one's own: pictures of it, weights that know it, figures, an episode, a pose."""
+"""A user's mesh: images, weights, evaluation, an episode, a pose."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def mesh(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def data(mesh: Path) -> Path:
-    """Pictures to train on."""
+    """Training images."""
     out = mesh.parent / "bracket"
     assert run(f"generate --objects {mesh} --out {out} --scenes 3 --seed 1 {SMALL}") == 0
     return out
@@ -59,7 +59,7 @@ def data(mesh: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def test_data(mesh: Path) -> Path:
-    """Pictures to measure on."""
+    """Test images."""
     out = mesh.parent / "bracket-test"
     test = "--split test --scenes 2 --seed 2"
     assert run(f"generate --objects {mesh} --out {out} {test} {SMALL}") == 0
@@ -80,7 +80,7 @@ def weights(data: Path) -> Path:
     return out / "weights.safetensors"
 
 
-def test_the_data_reads_back_and_is_sound(data: Path, test_data: Path):
+def test_generated_data_is_valid(data: Path, test_data: Path):
     assert run(f"check-data {data}") == 0
     (info,) = read_models_info(data).values()
     assert info.name == "bracket" and info.extents == pytest.approx((0.14, 0.06, 0.12), abs=1e-4)
@@ -143,7 +143,7 @@ def recalls(results: Path) -> dict[str, int]:
     return {r["object"]: r["n"] for r in records if r["metric"] == "add_s_recall"}
 
 
-def test_figures_on_the_data_and_on_fresh_scenes(
+def test_evaluation_on_the_data_and_on_new_scenes(
     weights: Path, data: Path, test_data: Path, tmp_path: Path, capsys
 ):
     known = f"--weights {weights} --threads 1"
@@ -153,7 +153,7 @@ def test_figures_on_the_data_and_on_fresh_scenes(
     assert run(f"evaluate --scene linemod {fresh}") == 0
     assert recalls(tmp_path / "fresh.json") == {"bracket": 1, "mean": 1}
     assert [info.name for info in read_models_info(tmp_path / "fresh").values()] == ["bracket"]
-    # The shipped weights know nothing that these pictures show, and training data is no test split.
+    # The shipped weights know nothing that these images show, and training data is no test split.
     assert run(f"evaluate --data {test_data}") == 2
     assert run(f"evaluate --data {data} {known}") == 2
     wrong = capsys.readouterr().err
@@ -177,16 +177,16 @@ def test_an_episode_with_the_new_weights(weights: Path, mesh: Path):
         gym.make("two_view_pose:TwoViewPose-v0", objects=[mesh])
 
 
-def test_a_pose_in_two_pictures(weights: Path, test_data: Path, tmp_path: Path):
+def test_estimate_from_two_images(weights: Path, test_data: Path, tmp_path: Path):
     pair = read_pairs(test_data)[0]
     scene = read_dataset(test_data, "test").scene(pair.scene_id)
     first, second = scene[pair.ref_image_id], scene[pair.second_image_id]
     (tmp_path / "K.json").write_text(json.dumps({"K": first.K.tolist()}))
     (tmp_path / "T.json").write_text(json.dumps({"T_second_reference": pair.T_second_ref.tolist()}))
-    pictures = f"--reference {first.rgb_path} --second {second.rgb_path}"
-    told = f"--K {tmp_path / 'K.json'} --relative-pose {tmp_path / 'T.json'} --object bracket"
+    images = f"--reference {first.rgb_path} --second {second.rgb_path}"
+    known = f"--K {tmp_path / 'K.json'} --relative-pose {tmp_path / 'T.json'} --object bracket"
     written = f"--out {tmp_path / 'pose.json'} --overlay {tmp_path / 'overlay.png'}"
-    assert run(f"estimate {pictures} {told} --weights {weights} {written}") == 0
+    assert run(f"estimate {images} {known} --weights {weights} {written}") == 0
     pose = json.loads((tmp_path / "pose.json").read_text())
     check_rigid(np.array(pose["T_cam_obj"]), "pose")
     assert pose["object"] == "bracket"

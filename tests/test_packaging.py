@@ -18,7 +18,7 @@ from two_view_pose.assets import OBJECT_NAMES
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 INSTALLED = Path(two_view_pose.__file__).parent
-FOLDERS = ("agents", "assets", "envs", "pose_estimator")
+FOLDERS = ("agents", "assets", "core", "envs", "pose_estimator")
 MODELLING = CHECKOUT / "assets" / "build"
 """Makes what ships, and is no part of the wheel itself."""
 PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())
@@ -57,8 +57,9 @@ def test_importing_the_package_is_cheap():
 
 
 def test_files_and_arrays_need_no_torch():
-    statement = "from two_view_pose import assets; from two_view_pose.pose_estimator import "
-    statement += "bop, geometry, metrics"
+    statement = "from two_view_pose import assets; from two_view_pose.core import geometry; "
+    statement += "from two_view_pose.pose_estimator.bop import dataset; "
+    statement += "from two_view_pose.pose_estimator.evaluation import metrics"
     assert loaded(statement, ["torch", "mujoco", "stable_baselines3"]) == []
 
 
@@ -172,7 +173,7 @@ def test_imports_are_declared():
     assert undeclared([*benchmarks], extras) - {"benchmarks"} == {"pyrender"}
     tests = [path for path in (CHECKOUT / "tests").rglob("*.py") if path not in benchmarks]
     # pytest brings packaging along; a test may import what stands beside it.
-    own = {"benchmarks", *(path.stem for path in tests)}
+    own = {"benchmarks", "helpers", *(path.stem for path in tests)}
     assert undeclared(tests, set(requirements("dev")) | {"packaging"}) - own == set()
 
 

@@ -1,12 +1,8 @@
-"""A view bank of real photographs: the same decision where only the views exist that were taken.
+"""Records a view bank of the real photographs of a BOP dataset.
 
-A photograph and one of the objects in it are a scene. Its second views are the photographs between
-which and this one the object did not move; each slot of the bank holds the one whose direction from
-the (estimated) object is nearest to that of the slot's candidate. So one photograph may fill many
-slots, and a policy that was trained in simulation is evaluated unchanged.
-
-A robot knows which way is up. A dataset without a world says it through its objects: they stand
-upright, and their z axes point up.
+A scene is a photograph and one object in it. Its second views are the photographs between which and
+this one the object did not move; each slot holds the one whose direction from the estimated object
+is nearest to that of the slot's candidate. So one photograph may fill many slots.
 """
 
 from __future__ import annotations
@@ -39,14 +35,14 @@ from .config import RecordBankConfig
 
 IMAGE_SIZE = 64
 MIN_SECOND_VIEWS = 2
-"""Second views that a scene must have: with one there is nothing to choose."""
+"""Per scene: with one there is nothing to choose."""
 
 
 def record_real_bank(config: RecordBankConfig) -> None:
     """Runs the estimator on every pair of photographs and writes the bank.
 
     Raises:
-        InputError: if the dataset has no such pairs of objects that the weights know.
+        InputError: if the dataset has no such pairs for the objects of the weights.
     """
     recorder = _RealRecorder(config)
     parts = []
@@ -87,7 +83,7 @@ class _RealRecorder:
         self._candidates = check_candidates(CANDIDATE_VIEWS)
 
     def header(self) -> BankHeader:
-        """What the bank says about itself; objects that the dataset lacks have our diameters."""
+        """Metadata of the bank; objects that the dataset lacks have our diameters."""
         own = load_objects(None)
         diameters = [
             float(self._measured[name].diameter if name in self._measured else own[name].diameter)
@@ -182,7 +178,7 @@ class _RealRecorder:
     def _slots(
         self, cameras: dict[int, np.ndarray], center: np.ndarray, place: SpherePosition
     ) -> list[int]:
-        """For each candidate the photograph that is nearest in direction from the object."""
+        """For each candidate the photograph with the nearest direction from the object."""
         ids = sorted(cameras)
         offsets = np.stack([camera_center(cameras[i]) for i in ids]) - center
         directions = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
@@ -197,15 +193,15 @@ class _RealRecorder:
 def level_camera(image: BopImage) -> np.ndarray:
     """A photograph's camera in a world whose z axis points up, T_cam_world (4, 4).
 
-    The dataset's own world if it has one; else the camera stands at the origin, and up is the mean
-    of the objects' z axes.
+    The dataset's own world if it has one; otherwise the camera is at the origin, and up is the mean
+    of the objects' z axes, since the objects stand upright.
     """
     if image.T_cam_world is not None:
         return image.T_cam_world
     up = np.mean([a.T_cam_obj[:3, 2] for a in image.annotations], axis=0)
     up /= max(float(np.linalg.norm(up)), 1e-9)
     forward = np.array([0.0, 0.0, 1.0])
-    ahead = forward - (forward @ up) * up  # the camera's view along the table
+    ahead = forward - (forward @ up) * up  # the viewing direction along the table
     if np.linalg.norm(ahead) < 1e-6:
         ahead = np.array([0.0, -1.0, 0.0]) - (np.array([0.0, -1.0, 0.0]) @ up) * up
     ahead /= np.linalg.norm(ahead)

@@ -1,8 +1,7 @@
-"""The command ``record-bank``: every candidate second view of many scenes, estimated once.
+"""The command ``record-bank``: records every candidate second view of many scenes.
 
-Each scene is a file of its own until all are there, so a killed run resumes where it was; then they
-become one file. A scene depends on the seed and its number alone: neither the number of workers nor
-a restart changes anything in it.
+Each scene is a file until all are recorded, so a killed run resumes; then they become one file. A
+scene depends on the seed and its number only, not on the number of workers or on restarts.
 """
 
 from __future__ import annotations
@@ -24,16 +23,16 @@ if TYPE_CHECKING:
     from ..view_banks.bank import BankHeader, ViewBank
 
 IGNORED_SETTINGS = frozenset(("out", "scenes", "device", "workers", "worker_memory", "verify"))
-"""Options that do not change what is recorded of a scene."""
+"""Options that do not change the recorded scenes."""
 
 
 def record_bank(config: RecordBankConfig) -> None:
-    """Records the scenes that are missing and writes the bank.
+    """Records the missing scenes and writes the bank.
 
     Raises:
-        InputError: if the file or the folder of its parts is of another bank, or is damaged, or
+        InputError: if the file or the folder of its parts is of another bank, or corrupted, or
             there is no such device.
-        GraphicsUnavailable: if there is no OpenGL to draw with.
+        GraphicsUnavailable: if there is no OpenGL.
     """
     from ...core.device import check_device
     from ..view_banks.bank import read_bank
@@ -50,11 +49,11 @@ def record_bank(config: RecordBankConfig) -> None:
 
         record_real_bank(config)
     else:
-        _record_scenes(config)
+        record_scenes(config)
     describe(config.out, read_bank(config.out))
 
 
-def _record_scenes(config: RecordBankConfig) -> None:
+def record_scenes(config: RecordBankConfig) -> None:
     from ...core.worker_pool import run_scenes
     from ..datagen.dataset_folder import check_or_write_manifest
     from ..view_banks.bank import concatenate, read_arrays, write_bank
@@ -77,24 +76,24 @@ def _record_scenes(config: RecordBankConfig) -> None:
 
 
 def describe(path: Path, bank: ViewBank) -> None:
-    """Prints what the bank of a file holds."""
-    header, right = bank.header, bank.second_error < 0.1
+    """Prints a summary of a bank."""
+    header, success = bank.header, bank.second_error < 0.1
     print(
         f"{path}: {len(bank)} scenes ({header.source}, {header.scene}) of "
         f"{len(np.unique(bank.object_index))} objects x {bank.slots} second views by "
-        f"{header.estimator}, {path.stat().st_size / 1e6:.1f} MB, checksum fits"
+        f"{header.estimator}, {path.stat().st_size / 1e6:.1f} MB, checksum matches"
     )
     if not bank.has_estimates:
-        print(f"visible from the second views: {np.nanmean(bank.second_visibility):.0%} on average")
+        print(f"mean visibility from the second views: {np.nanmean(bank.second_visibility):.0%}")
         return
     print(
         f"ADD(-S) < 0.1 d: first view {np.mean(bank.first_error < 0.1):.1%}, a random second view "
-        f"{right.mean():.1%}, the best {right.any(axis=1).mean():.1%}"
+        f"{success.mean():.1%}, the best {success.any(axis=1).mean():.1%}"
     )
 
 
 def _check_same(header: BankHeader, config: RecordBankConfig) -> None:
-    """Refuses to take a finished bank of other scenes for this one."""
+    """Checks that a finished bank has the scenes of ``config``."""
     same = header.seed == config.seed and header.estimator == config.estimator
     same &= header.settings.get("pose_noise") == config.pose_noise
     if config.data is None and not (same and header.scene == config.scene):

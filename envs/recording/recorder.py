@@ -1,4 +1,4 @@
-"""Records one scene of a view bank: the reference view, then every candidate from it."""
+"""Records one scene of a view bank: the reference view, then every candidate view."""
 
 from __future__ import annotations
 
@@ -12,27 +12,26 @@ from ..two_view_pose import CANDIDATE_VIEWS, TwoViewPoseDiscreteEnv
 from ..view_banks.bank import BankHeader, scene_arrays, write_arrays
 from .config import RecordBankConfig
 
+_SecondView = tuple[Observation, np.ndarray, np.ndarray, float]
+"""Observation, camera (4, 4), estimate (4, 4) and travel (m) of a second view."""
+
 
 class BankRecorder:
-    """Takes every action of every scene in a live environment.
-
-    Args:
-        config: what the bank is.
-    """
+    """Takes every action of every scene in a live environment."""
 
     def __init__(self, config: RecordBankConfig) -> None:
         self._config = config
         self._env = TwoViewPoseDiscreteEnv(**config.environment_arguments)
 
     def make(self, scene_id: int) -> None:
-        """Records scene ``scene_id`` and writes its file."""
+        """Records one scene and writes its file."""
         env = self._env
         first, info = env.reset(seed=episode_seed(self._config.seed, scene_id))
         assert env.estimate is not None
         if self._config.estimates:
-            seconds, errors = self._step_to_each()
+            seconds, errors = self._estimate_all_views()
         else:
-            seconds = self._move_to_each(first)
+            seconds = self._unestimated_views(first)
             errors = [np.nan] * len(seconds)
         arrays = scene_arrays(first, env.estimate, seconds)
         diameter, truth = info["diameter"], info["ground_truth"]
@@ -54,10 +53,8 @@ class BankRecorder:
         """Closes the environment."""
         self._env.close()
 
-    def _step_to_each(
-        self,
-    ) -> tuple[list[tuple[Observation, np.ndarray, np.ndarray, float]], list[float]]:
-        """Of each second view what ``scene_arrays`` takes, and its ADD(-S) over the diameter."""
+    def _estimate_all_views(self) -> tuple[list[_SecondView], list[float]]:
+        """The second views as ``scene_arrays`` takes them, and ADD(-S) over the diameter."""
         outputs = self._env.simulate_actions(range(len(CANDIDATE_VIEWS)))
         infos = [info for *_, info in outputs]
         seconds = [
@@ -66,10 +63,8 @@ class BankRecorder:
         ]
         return seconds, [i["ground_truth"]["add_second"] / i["diameter"] for i in infos]
 
-    def _move_to_each(
-        self, first: Observation
-    ) -> list[tuple[Observation, np.ndarray, np.ndarray, float]]:
-        """As :meth:`_step_to_each`, with the first observation and estimate for every view."""
+    def _unestimated_views(self, first: Observation) -> list[_SecondView]:
+        """The second views with the first observation and estimate for each."""
         env = self._env
         assert env.estimate is not None
         cameras = [env.camera_pose(action) for action in range(len(CANDIDATE_VIEWS))]
@@ -81,7 +76,7 @@ class BankRecorder:
 
 
 def make_header(config: RecordBankConfig) -> BankHeader:
-    """What a bank of simulated scenes says about itself."""
+    """Metadata of a bank of simulated scenes."""
     objects = load_objects(list(config.objects) or None)
     return BankHeader(
         source="simulation",

@@ -1,7 +1,7 @@
-"""Several environments at once: batched estimates, with rendering in other processes.
+"""The vector environment: batched estimates, and rendering in worker processes.
 
-``gym.make_vec`` finds these through ``vector_entry_point``. They reset in the same step, which
-episodes of one step want: an environment that resets in the next would waste half of all steps.
+``gym.make_vec`` finds it through ``vector_entry_point``. It resets in the same step, since resets
+in the next step would waste half of all steps of one-step episodes.
 """
 
 from __future__ import annotations
@@ -26,35 +26,32 @@ from ..two_view_pose import TwoViewPoseDiscreteEnv, TwoViewPoseEnv
 from .remote_simulator import SimulatorWorkers
 
 _Estimates = Future[list[PoseEstimate]] | None
-"""Of some sub-environments; None without an estimator."""
+"""Of a batch of sub-environments; None without an estimator."""
 
 
 def make_two_view_pose(num_envs: int = 1, **kwargs: Any) -> TwoViewPoseVectorEnv:
-    """Several ``TwoViewPose-v0``; see :class:`TwoViewPoseVectorEnv`."""
+    """Makes a vector of ``TwoViewPose-v0``; see :class:`TwoViewPoseVectorEnv`."""
     return TwoViewPoseVectorEnv(TwoViewPoseEnv, num_envs, **kwargs)
 
 
 def make_two_view_pose_discrete(num_envs: int = 1, **kwargs: Any) -> TwoViewPoseVectorEnv:
-    """Several ``TwoViewPoseDiscrete-v0``; see :class:`TwoViewPoseVectorEnv`."""
+    """Makes a vector of ``TwoViewPoseDiscrete-v0``; see :class:`TwoViewPoseVectorEnv`."""
     return TwoViewPoseVectorEnv(TwoViewPoseDiscreteEnv, num_envs, **kwargs)
 
 
 class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
-    """Sub-environments of one class, each with a scene of its own.
+    """Sub-environments of one class; see "Vector environments" in ``TwoViewPoseEnv``.
 
-    Sub-environment ``i`` returns exactly what a single environment does that was reset with its
-    seed (with an estimator on a GPU: but for the rounding of another batch). A step takes the
-    second view of every sub-environment, estimates in batches (``estimate_batch``, where the
-    estimator has one), and begins every next episode; the last observation and info of an episode
-    are ``info["final_obs"]`` and ``info["final_info"]``. While the estimator works on one half of a
-    step, the workers arrange and render the other.
+    A step takes the second view of every sub-environment, estimates in batches (``estimate_batch``,
+    if the estimator has it), and begins every next episode. While the estimator runs on one half of
+    the sub-environments, the workers render the other.
 
     Args:
         env_cls: the class of the sub-environments, whose episodes are one step.
-        num_envs: how many.
-        workers: processes that arrange and render scenes; None: as many as there are cores, and no
-            more than sub-environments; 0: this process does it.
-        **kwargs: go to each sub-environment.
+        num_envs: number of sub-environments.
+        workers: processes that set up and render scenes; None: one for each core, at most one for
+            each sub-environment; 0: render in this process.
+        **kwargs: arguments of each sub-environment.
 
     Raises:
         InputError: if a number or an argument is not allowed.
@@ -70,19 +67,17 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> None:
         super().__init__()
         if env_cls.step is not ViewSelectionEnv.step:
-            raise InputError(
-                f"{env_cls.__name__} has steps of its own: use gymnasium's SyncVectorEnv"
-            )
+            raise InputError(f"{env_cls.__name__} overrides step: use gymnasium's SyncVectorEnv")
         if num_envs < 1:
-            raise InputError(f"num_envs must be at least 1, got {num_envs}")
+            raise InputError(f"num_envs must be >= 1, got {num_envs}")
         if workers is not None and workers < 0:
-            raise InputError(f"workers must be at least 0, or None, got {workers}")
+            raise InputError(f"workers must be >= 0 or None, got {workers}")
         self.num_envs = num_envs
         self._estimator = resolve_estimator(
             kwargs.pop("estimator", "mid"), kwargs.pop("device", "auto")
         )
-        # A thread-safe estimator is asked from two threads: while one computes between the
-        # networks, which Python does on one core, the networks run for the other.
+        # Two threads call a thread-safe estimator: while one runs Python code between networks,
+        # which uses one core, the networks run for the other.
         threads = min(2, num_envs) if getattr(self._estimator, "thread_safe", False) else 1
         self._batches = [list(part) for part in np.array_split(range(num_envs), threads)]
         self._pool = single_core_threads(threads) if threads > 1 else ThreadPoolExecutor(1)
@@ -109,7 +104,7 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
 
     @property
     def estimator(self) -> PoseEstimator | None:
-        """The one estimator of all sub-environments."""
+        """The estimator that all sub-environments share."""
         return self._estimator
 
     def reset(
@@ -121,8 +116,8 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
         """Begins an episode in every sub-environment.
 
         Args:
-            seed: one for each; of a number, they take it and those that follow.
-            options: of every sub-environment, as the single environment's.
+            seed: one for each, or one number: sub-environment ``i`` has ``seed + i``.
+            options: as the single environment's, for every sub-environment.
 
         Raises:
             InputError: if there is not one seed for each, or an option is not allowed.
@@ -137,10 +132,10 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
         return self._reset_output([self._begin(batch, scenes) for batch in self._batches], {})
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Takes every sub-environment's second view, and begins its next episode.
+        """Takes the second view of every sub-environment, and begins its next episode.
 
         Raises:
-            InputError: if an action is not allowed; no camera has moved then.
+            InputError: if an action is not in the action space; then no camera has moved.
             ResetNeeded: before the first reset.
         """
         chosen = list(iterate(self.action_space, actions))
@@ -172,20 +167,20 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
         return observations, rewards, terminated, ~terminated, infos
 
     def render(self) -> tuple[Any, ...]:
-        """The figure of each sub-environment's episode, as the single environment draws it."""
+        """Renders each sub-environment."""
         return tuple(env.render() for env in self.envs)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Calls a method of each sub-environment, or gets an attribute."""
+        """Calls a method of each sub-environment, or returns an attribute."""
         found = self.get_attr(name)
         return tuple(f(*args, **kwargs) if callable(f) else f for f in found)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """An attribute of each sub-environment."""
+        """Returns an attribute of each sub-environment."""
         return tuple(getattr(env, name) for env in self.envs)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Ends the workers and closes the sub-environments."""
+        """Closes the sub-environments and their workers."""
         self._pool.shutdown()
         for env in self.envs:
             env.close()
@@ -194,7 +189,7 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
     def _request_scenes(
         self, seeds: Sequence[int | None], options: dict[str, Any] | None
     ) -> list[tuple[SceneRequest, Callable[[], SceneInfo]]]:
-        """Draws every next scene and has it set up; with each request what waits for its scene."""
+        """Begins to set up every next scene; returns its request and a function that waits."""
         requests = [
             env.sample_scene_request(seed, options)
             for env, seed in zip(self.envs, seeds, strict=True)
@@ -207,7 +202,7 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
     def _begin(
         self, batch: Sequence[int], scenes: Sequence[tuple[SceneRequest, Callable[[], SceneInfo]]]
     ) -> _Estimates:
-        """Begins the next episodes of some sub-environments, up to the first estimate."""
+        """Begins the next episodes of a batch, and their first estimates."""
         for i in batch:
             request, scene = scenes[i]
             self.envs[i].begin(request, scene())
@@ -216,7 +211,7 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
     def _reset_output(
         self, begun: Sequence[_Estimates], infos: dict[str, Any]
     ) -> tuple[Any, dict[str, Any]]:
-        """Observations of the episodes that were begun, and the infos with theirs."""
+        """Returns the observations of the new episodes, and ``infos`` with theirs added."""
         observations = []
         for batch, estimates in zip(self._batches, begun, strict=True):
             self._add_estimates(batch, estimates)
@@ -229,14 +224,14 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
         return concatenate(self.single_observation_space, observations, empty), infos
 
     def _estimate(self, batch: Sequence[int]) -> _Estimates:
-        """Begins to estimate the poses of some sub-environments from their views so far."""
+        """Begins to estimate the poses of a batch from all its views so far."""
         if self._estimator is None:
             return None
         requests = [(self.envs[i].views, self.envs[i].object_name) for i in batch]
         return self._pool.submit(estimate_all, self._estimator, requests)
 
     def _add_estimates(self, batch: Sequence[int], estimates: _Estimates) -> None:
-        """Waits for the poses of some sub-environments."""
+        """Waits for the estimates of a batch."""
         if estimates is not None:
             for i, estimate in zip(batch, estimates.result(), strict=True):
                 self.envs[i].add_estimate(estimate)

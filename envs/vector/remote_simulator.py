@@ -1,8 +1,4 @@
-"""Simulators in processes of their own.
-
-OpenGL on the CPU and the arrangement of scenes take as long as an estimate does. Next to it, in
-another process, they cost no time.
-"""
+"""Simulators in worker processes, which set up and render scenes while this one estimates."""
 
 from __future__ import annotations
 
@@ -22,10 +18,10 @@ from ..simulation.simulator import SceneInfo, SceneRequest, SceneSimulator
 
 
 class RemoteSimulator:
-    """A :class:`~.studio.SceneSimulator` in another process, which carries out calls in order.
+    """Proxy of a :class:`~..simulation.simulator.SceneSimulator` in a worker process.
 
     Args:
-        worker: the process, which may hold others too.
+        worker: the process, which runs calls in order and may be shared.
         number: of the sub-environment.
     """
 
@@ -34,10 +30,10 @@ class RemoteSimulator:
         self._number = number
 
     def submit(self, method: str, *arguments: Any) -> Callable[[], Any]:
-        """Begins a call of a method; what is returned waits for its result.
+        """Submits a method call; the returned function waits for its result.
 
         Raises:
-            ChildProcessError: if the process died; then also what is returned raises it.
+            ChildProcessError: if the process died; the returned function raises it too.
         """
         with _named_death(self._number):
             future = self._worker.submit(_call, self._number, method, arguments)
@@ -49,7 +45,7 @@ class RemoteSimulator:
         return result
 
     def reset(self, request: SceneRequest) -> SceneInfo:
-        """Sets up a scene in place of the one before, and renders the reference view."""
+        """Sets up a scene and renders the reference view."""
         return self.submit("reset", request)()
 
     def render(self, T_cam_world: np.ndarray, number: int) -> np.ndarray:
@@ -61,22 +57,18 @@ class RemoteSimulator:
         return self.submit("visibility_from", T_cam_world)()
 
     def close(self) -> None:
-        """Nothing: the processes are ended together."""
+        """Does nothing: :class:`SimulatorWorkers` ends the processes."""
 
 
 class SimulatorWorkers:
-    """Processes that hold the simulators of several sub-environments.
-
-    Args:
-        count: how many processes share them.
-    """
+    """``count`` processes that share the simulators of several sub-environments."""
 
     def __init__(self, count: int) -> None:
         self._workers = [new_worker() for _ in range(count)]
         self._simulators = 0
 
     def add(self, *arguments: Any) -> RemoteSimulator:
-        """The next sub-environment's simulator; all have the arguments of the first.
+        """Returns the next sub-environment's simulator; all have the first one's arguments.
 
         Raises:
             ChildProcessError: if a process died.
@@ -97,7 +89,7 @@ class SimulatorWorkers:
         with single_thread_env(), nullcontext() if own_classes else without_script():
             started = [worker.submit(os.getpid) for worker in self._workers]
         for number, (worker, future) in enumerate(zip(self._workers, started, strict=True)):
-            # Python may wait for ever if a process dies before it has read a large task.
+            # Python may hang if a process dies before it has read a large task.
             with _named_death(number):
                 future.result()
                 worker.submit(_set_arguments, pickled)
@@ -109,9 +101,8 @@ def _named_death(number: int) -> Iterator[None]:
         yield
     except BrokenProcessPool:
         raise ChildProcessError(
-            f"the process that renders sub-environment {number} died. If it says nothing above, "
-            "it was usually out of memory: try fewer workers, or workers=0, which renders in this "
-            "process"
+            f"the process that renders sub-environment {number} died. Without a message above it "
+            "was usually out of memory: try fewer workers, or workers=0"
         ) from None
 
 
@@ -120,7 +111,7 @@ _simulators: dict[int, SceneSimulator] = {}
 
 
 def _set_arguments(pickled: bytes) -> None:
-    """In a worker: says what its simulators are made with."""
+    """In a worker: sets the arguments of its simulators."""
     global _arguments
     _arguments = pickle.loads(pickled)
 

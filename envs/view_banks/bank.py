@@ -1,8 +1,7 @@
-"""Recorded decisions: for each of many scenes, what every candidate for a second view led to.
+"""View banks: offline datasets with the outcome of every candidate view of many scenes.
 
-A step of the live environment renders an image and runs the estimator, a fifth of a second. A bank
-holds the outcome of every candidate view of its scenes, so that a policy is trained and evaluated
-on them at thousands of steps a second. One file, compressed, with a checksum and without code.
+A policy is trained and evaluated on a bank at thousands of steps a second; the live environment
+takes a fifth of a second for each. A bank is one compressed file with a checksum.
 """
 
 from __future__ import annotations
@@ -29,12 +28,12 @@ FORMAT = "two-view-pose view bank 1"
 
 FIRST_FIELDS = ("rotation", "translation", "uncertainty", "score", "object", "camera", "image")
 SECOND_FIELDS = ("rotation", "translation", "uncertainty", "score", "camera")
-"""Fields of an observation that differ from one second view to the next."""
+"""Fields of an observation that depend on the second view."""
 
 
 @dataclass(frozen=True)
 class BankHeader:
-    """What a bank says about itself.
+    """Metadata of a bank.
 
     Attributes:
         source: "simulation", or the name of the dataset of photographs.
@@ -42,13 +41,13 @@ class BankHeader:
         object_names: in the order of the observation's one-hot.
         diameters: of these objects, meters.
         candidate_views: (azimuth offset, elevation) of each slot (index of a candidate), degrees.
-        estimator: whose estimates were recorded.
+        estimator: that was recorded.
         seed: of the scenes.
-        settings: what else the scenes were made with, plain data.
-        versions: package versions at the time of writing.
-        commit: commit of the checkout, None for an installed wheel.
-        digest: SHA-256 of all arrays; filled in when the bank is written.
-        format: name and version of this file format.
+        settings: other settings of the recording.
+        versions: of the packages when the bank was written.
+        commit: of the checkout, None for an installed wheel.
+        digest: SHA-256 of all arrays; set by :func:`write_bank`.
+        format: name and version of the file format.
     """
 
     source: str
@@ -70,24 +69,23 @@ class ViewBank:
     """M scenes by N candidate views ("slots").
 
     Attributes:
-        header: what it is.
+        header: metadata.
         first: the observation after the reference view, each field (M, ...).
         second: fields of the observation after the second view, each (M, N, ...).
         object_index: the target, (M,).
-        scene_seed: number from which the scene followed (of a photograph: its number), (M,).
+        scene_seed: seed of the scene (of a photograph: its number), (M,).
         visibility: of the target in the reference view, (M,), 0 to 1.
-        T_cam_obj: estimate of the reference view, (M, 4, 4).
+        T_cam_obj: estimate from the reference view, (M, 4, 4).
         keypoints: its keypoints in the reference camera, (M, 9, 3), meters.
-        covariance: theirs, (M, 9, 3, 3), square meters.
+        covariance: of the keypoints, (M, 9, 3, 3), square meters.
         K: camera matrix of the reference view, (M, 3, 3).
         T_cam_world: reference camera, (M, 4, 4).
-        center: middle of the view sphere, (M, 3), world.
+        center: of the view sphere, (M, 3), world.
         first_error: ADD(-S) over the diameter from the reference view alone, (M,).
         second_T_cam_world: camera of each slot, (M, N, 4, 4).
         second_T_cam_obj: the estimate from both views, (M, N, 4, 4), in the reference camera.
-        second_error: its ADD(-S) over the diameter, (M, N); NaN where no estimator was asked.
-        second_visibility: true visible fraction of the target from each slot, (M, N); NaN where it
-            is not known.
+        second_error: its ADD(-S) over the diameter, (M, N); NaN without an estimate.
+        second_visibility: true visible fraction of the target, (M, N); NaN where unknown.
         travel: of the camera to each slot, (M, N), meters.
     """
 
@@ -125,11 +123,11 @@ class ViewBank:
         return self.second_error.shape[1]
 
     def subset(self, scenes: slice | np.ndarray) -> ViewBank:
-        """The bank of some of the scenes."""
+        """Selects scenes."""
         return _from_arrays(self.header, {k: a[scenes] for k, a in self.arrays().items()})
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All arrays by the names that they have in the file; the first axis is the scene."""
+        """All arrays by their names in the file; the first axis is the scene."""
         plain = {name: getattr(self, name) for name in _PLAIN}
         plain |= {f"first/{key}": array for key, array in self.first.items()}
         return plain | {f"second/{key}": array for key, array in self.second.items()}
@@ -139,7 +137,7 @@ _PLAIN = tuple(f.name for f in fields(ViewBank) if f.name not in ("header", "fir
 
 
 def concatenate(header: BankHeader, parts: Sequence[Mapping[str, np.ndarray]]) -> ViewBank:
-    """One bank of the arrays of many."""
+    """Concatenates arrays of scenes to one bank."""
     return _from_arrays(header, {k: np.concatenate([p[k] for p in parts]) for k in parts[0]})
 
 
@@ -148,15 +146,12 @@ def scene_arrays(
     estimate: PoseEstimate,
     seconds: Sequence[tuple[Observation, np.ndarray, np.ndarray, float]],
 ) -> dict[str, np.ndarray]:
-    """The arrays of one scene that follow from what the robot knows.
+    """Returns the arrays of one scene (see :class:`ViewBank`) that do not need ground truth.
 
     Args:
         first: observation after the reference view.
         estimate: from the reference view.
         seconds: for each slot the observation, camera (4, 4), estimate (4, 4) and travel (m).
-
-    Returns:
-        Arrays as in :class:`ViewBank`, for one scene.
     """
     observations, cameras, estimates, travel = zip(*seconds, strict=True)
     arrays = {f"first/{key}": first[key][None] for key in FIRST_FIELDS}
@@ -173,7 +168,7 @@ def scene_arrays(
 
 
 def write_bank(path: str | os.PathLike[str], bank: ViewBank) -> None:
-    """Writes a bank; the path holds either the old file or the whole new one."""
+    """Writes a bank atomically."""
     arrays = bank.arrays()
     header = asdict(bank.header) | {"digest": _digest(arrays)}
     text = json.dumps(header, sort_keys=True, allow_nan=False).encode()
@@ -181,20 +176,20 @@ def write_bank(path: str | os.PathLike[str], bank: ViewBank) -> None:
 
 
 def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
-    """Writes arrays, such as those of one scene; the path holds all of them or nothing."""
+    """Writes arrays, such as those of one scene, atomically."""
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays)
     write_atomically(path, stream.getvalue())
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """Reads what :func:`write_arrays` wrote."""
+    """Reads a file of :func:`write_arrays`."""
     with np.load(path, allow_pickle=False) as file:
         return {name: file[name] for name in file.files}
 
 
 def read_bank(path: str | os.PathLike[str]) -> ViewBank:
-    """Reads a bank and checks that it is whole.
+    """Reads a bank and verifies its checksum.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -210,7 +205,7 @@ def read_bank(path: str | os.PathLike[str]) -> ViewBank:
         arrays = read_arrays(source)
         content = json.loads(bytes(arrays.pop("header")))
     except (zipfile.BadZipFile, OSError, KeyError, ValueError, EOFError) as error:
-        raise InputError(f"{source} is not a whole view bank: {error}") from error
+        raise InputError(f"{source} is not a valid view bank: {error}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         found = content.get("format") if isinstance(content, dict) else content
         raise InputError(f"view bank {source} must have the format {FORMAT!r}, got {found!r}")
@@ -218,9 +213,9 @@ def read_bank(path: str | os.PathLike[str]) -> ViewBank:
         header = BankHeader(**{k: _tuples(v) for k, v in content.items()})
         bank = _from_arrays(header, arrays)
     except (TypeError, KeyError) as error:
-        raise InputError(f"view bank {source} is damaged: {error}") from error
+        raise InputError(f"view bank {source} is corrupted: {error}") from error
     if _digest(arrays) != header.digest:
-        raise InputError(f"view bank {source} is damaged: its checksum does not fit its content")
+        raise InputError(f"view bank {source} is corrupted: its checksum does not match")
     return bank
 
 
@@ -234,7 +229,7 @@ def _from_arrays(header: BankHeader, arrays: Mapping[str, np.ndarray]) -> ViewBa
 
 
 def _digest(arrays: Mapping[str, np.ndarray]) -> str:
-    """SHA-256 of names, kinds, shapes and contents."""
+    """SHA-256 of names, dtypes, shapes and contents."""
     sha = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
@@ -244,7 +239,7 @@ def _digest(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def _tuples(value: Any) -> Any:
-    """JSON's lists as the tuples that they were."""
+    """Converts JSON's lists back to tuples."""
     if isinstance(value, dict):
         return {key: _tuples(part) for key, part in value.items()}
     return tuple(_tuples(v) for v in value) if isinstance(value, list) else value

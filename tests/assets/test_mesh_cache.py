@@ -1,4 +1,4 @@
-"""Imported meshes on the disk: the same to the bit, never out of date, never in the way."""
+"""The disk cache of imported meshes: bit-exact, keyed by all inputs, optional."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -28,9 +28,9 @@ def write_egg(path: Path, radius: float = 0.05) -> Path:
     return path
 
 
-def import_afresh(path: Path, **options: object) -> ObjectModel:
-    """Imports as another process would: it remembers nothing."""
-    mesh_import._import.cache_clear()
+def import_again(path: Path, **options: object) -> ObjectModel:
+    """Imports as another process would, without the cache in memory."""
+    mesh_import.import_cached.cache_clear()
     return import_mesh(path, **options)
 
 
@@ -49,56 +49,52 @@ def assert_identical(first: ObjectModel, second: ObjectModel) -> None:
             assert a == b, field.name
 
 
-def test_what_is_read_back_is_the_imported_object_to_the_bit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cached_object_is_bit_exact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_egg(tmp_path / "egg.ply")
-    imported = import_afresh(path)
+    imported = import_again(path)
     with monkeypatch.context() as patch:
-        patch.setattr(mesh_import, "_make", None)
-        assert_identical(imported, import_afresh(path))
-    assert_identical(imported, mesh_import._make(path, None, "auto", None, None))
+        patch.setattr(mesh_import, "import_uncached", None)
+        assert_identical(imported, import_again(path))
+    assert_identical(imported, mesh_import.import_uncached(path, None, "auto", None, None))
 
 
-def test_everything_that_counts_makes_another_entry(
+def test_every_input_is_part_of_the_key(
     tmp_path: Path, cache_home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write_egg(tmp_path / "obj_000003.ply")
     half_turn = np.stack([np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0])])
-    names = [import_afresh(path).name, import_afresh(path, name="egg").name]
+    names = [import_again(path).name, import_again(path, name="egg").name]
     assert names == ["obj_000003", "egg"]
-    assert len(import_afresh(path, symmetries=half_turn).symmetries) == 2
+    assert len(import_again(path, symmetries=half_turn).symmetries) == 2
     assert len(entries(cache_home)) == 3
-    diameter = import_afresh(path).diameter
+    diameter = import_again(path).diameter
     assert len(entries(cache_home)) == 3
     write_egg(path, radius=0.06)
-    assert import_afresh(path).diameter == pytest.approx(1.2 * diameter)
+    assert import_again(path).diameter == pytest.approx(1.2 * diameter)
     assert len(entries(cache_home)) == 4
     monkeypatch.setattr(mesh_import, "CACHE_VERSION", mesh_import.CACHE_VERSION + 1)
-    import_afresh(path)
+    import_again(path)
     assert len(entries(cache_home)) == 5
 
 
-def test_a_mesh_that_takes_colors_from_other_files_is_not_kept(
-    tmp_path: Path, cache_home: Path
-) -> None:
+def test_mesh_with_material_files_is_not_cached(tmp_path: Path, cache_home: Path) -> None:
     path = write_egg(tmp_path / "egg.obj")
     path.write_text("mtllib egg.mtl\n" + path.read_text())
     (tmp_path / "egg.mtl").write_text("newmtl a\nKd 1 0 0\n")
-    import_afresh(path)
+    import_again(path)
     assert not entries(cache_home)
 
 
-@pytest.mark.parametrize("rubbish", [b"", b"PK\x03\x04 cut off", b"\x93NUMPY"])
-def test_damaged_entries_are_replaced(tmp_path: Path, cache_home: Path, rubbish: bytes) -> None:
+@pytest.mark.parametrize("garbage", [b"", b"PK\x03\x04 cut off", b"\x93NUMPY"])
+def test_corrupted_entries_are_replaced(tmp_path: Path, cache_home: Path, garbage: bytes) -> None:
     path = write_egg(tmp_path / "egg.ply")
-    imported = import_afresh(path)
+    imported = import_again(path)
     (entry,) = entries(cache_home)
-    whole = entry.read_bytes()
-    for damaged in (rubbish, whole[: len(whole) // 2], whole.replace(b"keypoints", b"keypaints")):
-        entry.write_bytes(damaged)
-        assert_identical(imported, import_afresh(path))
-        assert entry.read_bytes() == whole
+    valid = entry.read_bytes()
+    for corrupted in (garbage, valid[: len(valid) // 2], valid.replace(b"keypoints", b"keypaints")):
+        entry.write_bytes(corrupted)
+        assert_identical(imported, import_again(path))
+        assert entry.read_bytes() == valid
     assert entries(cache_home) == [entry]  # and nothing lies beside it
 
 
@@ -109,13 +105,11 @@ def test_a_cache_that_cannot_be_written_is_skipped(
     blocked = tmp_path / "a file"
     blocked.write_text("no folder")  # permissions do not stop root, this does
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
-    assert import_afresh(path).name == "egg"
-    assert import_afresh(path).name == "egg"
+    assert import_again(path).name == "egg"
+    assert import_again(path).name == "egg"
 
 
-def test_the_folder_is_where_the_specification_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_folder_follows_xdg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert mesh_cache.cache_folder() == tmp_path / "cache" / "two_view_pose" / "meshes"
     monkeypatch.setenv("HOME", str(tmp_path))
     for ignored in ("", "relative/folder"):

@@ -1,4 +1,4 @@
-"""Meshes in every format that people have, made here with trimesh."""
+"""Meshes in every format, made with trimesh."""
 
 import warnings
 from collections.abc import Callable
@@ -62,10 +62,10 @@ def paint_texture(mesh: trimesh.Trimesh, physical: bool) -> trimesh.Trimesh:
     """A texture seen along x: blue at its top row, yellow at the bottom one."""
     low, high = mesh.bounds
     uv = ((mesh.vertices - low) / (high - low))[:, 1:]
-    picture = np.zeros((64, 64, 3), dtype=np.uint8)
-    picture[:32] = (0, 0, 250)
-    picture[32:] = (250, 250, 0)
-    image = Image.fromarray(picture)
+    pixels = np.zeros((64, 64, 3), dtype=np.uint8)
+    pixels[:32] = (0, 0, 250)
+    pixels[32:] = (250, 250, 0)
+    image = Image.fromarray(pixels)
     if physical:
         material = trimesh.visual.material.PBRMaterial(baseColorTexture=image)
     else:
@@ -147,13 +147,13 @@ def test_units(tmp_path: Path, scale: float, unit: str) -> None:
 
 
 @pytest.mark.parametrize("scale", [0.001, 5.0, 5000.0])
-def test_implausible_sizes_are_refused_with_the_way_out(tmp_path: Path, scale: float) -> None:
+def test_implausible_sizes(tmp_path: Path, scale: float) -> None:
     bottle(scale=scale).export(tmp_path / "egg.ply")
     with pytest.raises(ValueError, match=r"unit of .*egg\.ply.*diameter is \S+, .*unit='mm'"):
         import_mesh(tmp_path / "egg.ply")
 
 
-def test_heavy_meshes_are_thinned_and_keep_their_colors(tmp_path: Path) -> None:
+def test_large_meshes_are_decimated_and_keep_their_colors(tmp_path: Path) -> None:
     mesh = paint_vertices(bottle(subdivisions=5))
     assert len(mesh.faces) > 20_000
     mesh.export(tmp_path / "egg.ply")
@@ -164,7 +164,7 @@ def test_heavy_meshes_are_thinned_and_keep_their_colors(tmp_path: Path) -> None:
     assert np.abs(colors - by_place(points)).mean() < 0.02
 
 
-def test_inside_out_meshes_are_turned(tmp_path: Path) -> None:
+def test_inverted_meshes_are_fixed(tmp_path: Path) -> None:
     mesh = bottle()
     mesh.invert()
     mesh.export(tmp_path / "egg.ply")
@@ -172,7 +172,7 @@ def test_inside_out_meshes_are_turned(tmp_path: Path) -> None:
     assert trimesh.Trimesh(model.vertices, model.faces).volume > 0
 
 
-def test_an_egg_lies_and_a_box_stands(tmp_path: Path) -> None:
+def test_stable_poses_of_a_box_and_a_cone(tmp_path: Path) -> None:
     trimesh.creation.box(extents=(0.1, 0.06, 0.2)).export(tmp_path / "box.ply")
     np.testing.assert_array_equal(
         import_mesh(tmp_path / "box.ply").stable_poses[0][:3, :3], np.eye(3)
@@ -183,7 +183,7 @@ def test_an_egg_lies_and_a_box_stands(tmp_path: Path) -> None:
     assert import_mesh(tmp_path / "cone.ply").stable_poses[0][2, 2] < 0.9
 
 
-def test_what_is_given_is_checked(tmp_path: Path) -> None:
+def test_arguments_are_validated(tmp_path: Path) -> None:
     path = tmp_path / "egg.ply"
     bottle().export(path)
     half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -200,7 +200,7 @@ def test_what_is_given_is_checked(tmp_path: Path) -> None:
         import_mesh(path, unit="inch")
 
 
-def test_results_are_kept_until_the_file_changes(tmp_path: Path) -> None:
+def test_imports_are_cached_until_the_file_changes(tmp_path: Path) -> None:
     path = tmp_path / "egg.ply"
     bottle().export(path)
     first = import_mesh(path)
@@ -249,7 +249,7 @@ def write_flat(path: Path) -> None:
 
 
 def write_noise(path: Path) -> None:
-    path.write_bytes(b"\x00\x01 this is no mesh" * 20)
+    path.write_bytes(b"\x00\x01 this is not a mesh" * 20)
 
 
 @pytest.mark.parametrize(
@@ -276,5 +276,5 @@ def test_wrong_paths_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.txt").write_text("hello")
     with pytest.raises(ValueError, match=r"text\.txt must be one of \.ply"):
         import_mesh(tmp_path / "text.txt")
-    with pytest.raises(ValueError, match="holds no mesh"):
+    with pytest.raises(ValueError, match="has no mesh files"):
         assets.load_objects(tmp_path)

@@ -1,4 +1,4 @@
-"""The thirteen shipped objects against LineMOD's figures."""
+"""The thirteen shipped objects against LineMOD's sizes."""
 
 import subprocess
 import sys
@@ -64,7 +64,7 @@ def test_sizes_are_linemods(model: assets.ObjectModel) -> None:
     np.testing.assert_allclose(middle, 0.0, atol=1e-5)
 
 
-def test_surfaces_are_closed_and_light(model: assets.ObjectModel) -> None:
+def test_meshes_are_watertight_and_small(model: assets.ObjectModel) -> None:
     mesh = welded(model)
     assert mesh.is_watertight and mesh.is_winding_consistent
     assert mesh.body_count == 1
@@ -122,26 +122,26 @@ def test_upright_comes_first_and_every_pose_rests_on_the_table(model: assets.Obj
 
 
 @pytest.mark.parametrize("name", ["eggbox", "glue"])
-def test_half_a_turn_changes_nothing(name: str) -> None:
+def test_symmetric_objects_are_unchanged_by_a_half_turn(name: str) -> None:
     model = assets.load_object(name)
     assert model.symmetric and model.symmetries.shape == (2, 4, 4)
     np.testing.assert_array_equal(model.symmetries[0], np.eye(4))
     np.testing.assert_array_equal(model.symmetries[1], np.diag([-1, -1, 1, 1]))
-    turned = model.vertices @ model.symmetries[1, :3, :3].T
-    assert KDTree(model.vertices).query(turned)[0].max() == 0.0
+    rotated = model.vertices @ model.symmetries[1, :3, :3].T
+    assert KDTree(model.vertices).query(rotated)[0].max() == 0.0
 
     points, colors = surface_colors(model, 60_000)
-    turned = points @ model.symmetries[1, :3, :3].T
-    distances, twin = KDTree(points).query(turned)
+    rotated = points @ model.symmetries[1, :3, :3].T
+    distances, twin = KDTree(points).query(rotated)
     assert distances.max() < 0.003
     assert np.abs(colors[twin] - colors).mean() < 0.02
 
-    turned_keypoints = model.keypoints @ model.symmetries[1, :3, :3].T
-    assert KDTree(model.keypoints).query(turned_keypoints)[0].max() < 1e-12
+    rotated_keypoints = model.keypoints @ model.symmetries[1, :3, :3].T
+    assert KDTree(model.keypoints).query(rotated_keypoints)[0].max() < 1e-12
 
 
 @pytest.mark.parametrize("name", sorted(set(LINEMOD) - {"eggbox", "glue"}))
-def test_no_other_object_looks_the_same_after_half_a_turn(name: str) -> None:
+def test_other_objects_are_not_symmetric(name: str) -> None:
     model = assets.load_object(name)
     assert not model.symmetric
     points, colors = surface_colors(model)
@@ -172,5 +172,5 @@ def test_unknown_names_are_refused() -> None:
         assets.load_object("teapot.ply")
     with pytest.raises(ValueError, match="empty"):
         assets.load_objects([])
-    with pytest.raises(ValueError, match="two objects are called 'ape'"):
+    with pytest.raises(ValueError, match="two objects have the name 'ape'"):
         assets.load_objects(["ape", "ape"])

@@ -1,4 +1,4 @@
-"""Objects to files and back."""
+"""Files of objects."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -32,30 +32,30 @@ def test_any_viewer_reads_the_mesh(tmp_path: Path) -> None:
     assert mesh.visual.material.baseColorTexture.size == model.texture.shape[1::-1]
 
 
-def test_damaged_folders_are_named(tmp_path: Path) -> None:
+def test_corrupted_files(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"object\.json is missing"):
         read_object(tmp_path)
     save_object(assets.load_object("ape"), tmp_path)
     numbers = tmp_path / "object.json"
-    whole = numbers.read_text()
+    text = numbers.read_text()
     (tmp_path / "model.glb").rename(tmp_path / "aside.glb")
     with pytest.raises(FileNotFoundError, match=r"model\.glb is missing"):
         read_object(tmp_path)
     (tmp_path / "aside.glb").rename(tmp_path / "model.glb")
-    numbers.write_text(whole[: len(whole) // 2])
+    numbers.write_text(text[: len(text) // 2])
     with pytest.raises(ValueError, match="cannot be read"):
         read_object(tmp_path)
-    numbers.write_text(whole.replace('"format": 1', '"format": 99'))
+    numbers.write_text(text.replace('"format": 1', '"format": 99'))
     with pytest.raises(ValueError, match="format is 99"):
         read_object(tmp_path)
-    numbers.write_text(whole)
+    numbers.write_text(text)
     mesh = tmp_path / "model.glb"
     mesh.write_bytes(mesh.read_bytes()[:1000])
     with pytest.raises(ValueError, match="cannot be read"):
         read_object(tmp_path)
 
 
-def test_an_object_without_its_surface_keeps_all_that_an_estimator_needs(tmp_path: Path) -> None:
+def test_object_without_its_surface(tmp_path: Path) -> None:
     model = assets.load_object("eggbox")
     save_object(model, tmp_path / "eggbox", surface=False)
     assert [path.name for path in (tmp_path / "eggbox").iterdir()] == ["object.json"]
@@ -72,7 +72,7 @@ def test_an_object_without_its_surface_keeps_all_that_an_estimator_needs(tmp_pat
         add_or_add_s(np.eye(4), np.eye(4), again)
 
 
-def test_an_object_can_be_called_as_one_likes(tmp_path: Path) -> None:
+def test_names_can_be_chosen(tmp_path: Path) -> None:
     mesh = tmp_path / "obj_000007.ply"
     trimesh.creation.box((0.1, 0.2, 0.3)).export(mesh)
     objects = assets.load_objects([f"bracket={mesh}", "duck"])

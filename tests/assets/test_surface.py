@@ -20,8 +20,8 @@ def test_keypoints_are_closed_under_symmetries() -> None:
     mesh = trimesh.creation.box(extents=(0.1, 0.06, 0.2))
     symmetries = np.stack([np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0])])
     keypoints = surface.keypoints(mesh.vertices, np.zeros(3), symmetries)
-    turned = keypoints @ symmetries[1, :3, :3].T
-    assert cdist(turned, keypoints).min(axis=1).max() < 1e-12
+    rotated = keypoints @ symmetries[1, :3, :3].T
+    assert cdist(rotated, keypoints).min(axis=1).max() < 1e-12
     assert pdist(keypoints).min() > 0
 
 
@@ -44,7 +44,7 @@ def test_a_box_rests_on_its_six_sides() -> None:
     )
 
 
-def test_what_cannot_stand_upright_lies() -> None:
+def test_stable_poses_without_an_upright_one() -> None:
     cone = trimesh.creation.cone(radius=0.02, height=0.2, sections=24)
     cone.apply_transform(np.diag([1.0, -1.0, -1.0, 1.0]))  # on its tip
     assert surface.support_margin(cone, tolerance=1e-4) < 0

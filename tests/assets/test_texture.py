@@ -11,14 +11,14 @@ def rainbow(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return 0.5 + 0.45 * np.sin(3.0 * points + np.array([0.0, 1.0, 2.0]))
 
 
-def test_baked_colors_are_found_at_their_places() -> None:
+def test_baked_colors_match_the_function() -> None:
     mesh = trimesh.creation.icosphere(subdivisions=3)
     vertices, faces, uv = unwrap(mesh)
-    picture = bake(vertices, faces, uv, rainbow)
+    texture = bake(vertices, faces, uv, rainbow)
     surface = trimesh.Trimesh(vertices, faces, process=False)
     points, face = trimesh.sample.sample_surface(surface, 5000, seed=0)
     weights = trimesh.triangles.points_to_barycentric(surface.triangles[face], points)
-    colors = sample_texture(picture, np.einsum("nk,nki->ni", weights, uv[faces[face]]))
+    colors = sample_texture(texture, np.einsum("nk,nki->ni", weights, uv[faces[face]]))
     error = np.abs(colors - rainbow(np.asarray(points), np.zeros_like(points)))
     assert error.mean() < 0.01
     assert error.max() < 0.1  # also at the borders of charts, where the padding is looked at
@@ -61,9 +61,9 @@ def test_texture_row_zero_is_at_the_top() -> None:
     np.testing.assert_allclose(sample_texture(texture, np.array([[0.5, 0.125]])), [[0, 0, 0]])
 
 
-def test_wrong_color_functions_are_refused() -> None:
+def test_wrong_color_functions() -> None:
     vertices, faces, uv = unwrap(trimesh.creation.box())
-    with pytest.raises(ValueError, match="one RGB color a point"):
+    with pytest.raises(ValueError, match="one RGB color per point"):
         bake(vertices, faces, uv, lambda points, normals: points[:, :2])
     with pytest.raises(ValueError, match="covers no texel"):
         bake(vertices, faces, np.zeros_like(uv), rainbow)

@@ -1,4 +1,4 @@
-"""Cameras and transforms against OpenCV and SciPy; the checks say what is wrong."""
+"""Cameras and transforms against OpenCV and SciPy, and validation."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_rotation_to_6d_determines_the_rotation():
     np.testing.assert_allclose(rebuilt, rotation, atol=1e-12)
 
 
-def test_a_view_checks_what_it_is_given():
+def test_view_validates():
     image = np.zeros((4, 6, 3), np.uint8)
     view = View(image, LINEMOD_K.astype(np.float32), np.eye(4, dtype=np.float32))
     assert view.K.dtype == view.T_cam_world.dtype == np.float64
@@ -84,7 +84,7 @@ def test_a_view_checks_what_it_is_given():
         (np.diag([500.0, 500.0, 2.0]), r"row \(0, 0, 1\), got \[0.0, 0.0, 2.0\]"),
     ],
 )
-def test_bad_intrinsics_say_why(matrix: np.ndarray, message: str):
+def test_bad_intrinsics(matrix: np.ndarray, message: str):
     with pytest.raises(ValueError, match=message):
         check_intrinsics(matrix)
 
@@ -99,7 +99,7 @@ def test_bad_intrinsics_say_why(matrix: np.ndarray, message: str):
         (np.diag([2.0, 1.0, 0.5, 1.0]), "not rigid"),
     ],
 )
-def test_bad_transforms_say_why(matrix: np.ndarray, message: str):
+def test_bad_transforms(matrix: np.ndarray, message: str):
     with pytest.raises(ValueError, match=message):
         check_rigid(matrix)
 
@@ -108,6 +108,6 @@ def test_bad_transforms_say_why(matrix: np.ndarray, message: str):
     "image",
     [np.zeros((4, 6), np.uint8), np.zeros((4, 6, 4), np.uint8), np.zeros((4, 6, 3), np.float32)],
 )
-def test_bad_images_say_what_they_are(image: np.ndarray):
+def test_bad_images(image: np.ndarray):
     with pytest.raises(ValueError, match=f"got {image.dtype} of shape"):
         check_image(image)

@@ -1,4 +1,4 @@
-"""The processor in words."""
+"""The description of the processor."""
 
 import pytest
 from two_view_pose.core import cpu_cores as cores
@@ -8,12 +8,12 @@ from two_view_pose.core.cpu_cores import available_cores
 
 @pytest.fixture
 def cpuinfo(tmp_path, monkeypatch):
-    """Lets a processor be another one."""
+    """Pretends to have another processor."""
 
     def pretend(model: str, flags: str) -> None:
         core = f"processor\t: 0\nmodel name\t: {model}\nflags\t\t: fpu {flags}\n"
         (tmp_path / "cpuinfo").write_text(f"{core}\n{core}")
-        monkeypatch.setattr(cores, "_CPUINFO", tmp_path / "cpuinfo")
+        monkeypatch.setattr(cores, "CPUINFO", tmp_path / "cpuinfo")
         processor.processor_name.cache_clear()
         processor.instructions.cache_clear()
 
@@ -36,8 +36,8 @@ def test_model_and_widest_instructions(cpuinfo, flags, expected):
     assert processor.instructions() == expected
 
 
-def test_without_a_cpuinfo_there_is_still_a_name(tmp_path, monkeypatch):
-    monkeypatch.setattr(cores, "_CPUINFO", tmp_path / "none")
+def test_name_without_cpuinfo(tmp_path, monkeypatch):
+    monkeypatch.setattr(cores, "CPUINFO", tmp_path / "none")
     processor.processor_name.cache_clear()
     assert processor.processor_name()
     processor.processor_name.cache_clear()

@@ -13,7 +13,7 @@ from two_view_pose.envs import protocol
 IDS = ("TwoViewPose-v0", "TwoViewPoseDiscrete-v0", "TwoViewPoseSequential-v0")
 
 
-class Knowing(PickyEstimator):
+class LinemodEstimator(PickyEstimator):
     """Knows the thirteen objects."""
 
     object_names = OBJECT_NAMES
@@ -21,20 +21,20 @@ class Knowing(PickyEstimator):
 
 @pytest.fixture
 def loaded(monkeypatch):
-    """What ``load`` is asked for; every device there could be is there."""
-    asked = []
+    """The calls of ``load``; every device is available."""
+    calls = []
 
     def load(method, weights="linemod", *, device="auto"):
-        asked.append((method, str(weights), device))
-        return Knowing()
+        calls.append((method, str(weights), device))
+        return LinemodEstimator()
 
     monkeypatch.setattr(pose_estimator, "load", load)
     monkeypatch.setattr(
         protocol, "resolve_device", lambda d: torch.device("cpu" if d == "auto" else d)
     )
-    protocol._load.cache_clear()
-    yield asked
-    protocol._load.cache_clear()
+    protocol.load_shipped.cache_clear()
+    yield calls
+    protocol.load_shipped.cache_clear()
 
 
 @pytest.mark.parametrize("env_id", IDS)
@@ -44,19 +44,19 @@ def test_an_estimator_is_loaded_onto_the_device(env_id, loaded):
     assert loaded == [("mid", "linemod", "cuda:1"), ("mid", "own.safetensors", "cuda:1")]
 
 
-def test_one_estimator_a_device(loaded):
-    on_cpu, by_itself = (protocol.resolve_estimator("mid", d) for d in ("cpu", "auto"))
-    assert on_cpu is by_itself
+def test_estimators_are_cached_per_device(loaded):
+    on_cpu, automatic = (protocol.resolve_estimator("mid", d) for d in ("cpu", "auto"))
+    assert on_cpu is automatic
     assert protocol.resolve_estimator("mid", "cuda") is not on_cpu
     assert [device for *_, device in loaded] == ["cpu", "cuda"]
 
 
-def test_a_device_that_is_not_there(monkeypatch):
+def test_unavailable_device(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(ValueError, match="device 'cuda:7'"):
         gym.make("TwoViewPose-v0", device="cuda:7")
 
 
-def test_an_object_of_the_caller_has_its_own_device(make):
+def test_device_with_an_own_estimator(make):
     with pytest.raises(ValueError, match="leave device at \"auto\", got 'cpu'"):
-        make(estimator=Knowing(), device="cpu")
+        make(estimator=LinemodEstimator(), device="cpu")

@@ -1,4 +1,4 @@
-"""Two-View Pose: what it refuses, and what it says then."""
+"""Two-View Pose: invalid arguments, actions and options."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_bad_actions(make, action):
     env.reset(seed=0)
     with pytest.raises(ValueError, match="action must be three numbers from -1 to 1"):
         env.step(action)
-    env.step(np.zeros(3))  # the episode goes on after the refusal
+    env.step(np.zeros(3))  # the episode continues after the error
 
 
 @pytest.mark.parametrize("action", [-1, 24, 1.5, True, np.array([3, 4]), None, float("nan")])
@@ -46,7 +46,7 @@ def test_bad_candidate_views(make, views):
         make(TwoViewPoseDiscreteEnv, candidate_views=views)
 
 
-def test_an_episode_has_one_step(make):
+def test_step_needs_a_reset(make):
     env = make()
     for call in (lambda: env.step(np.zeros(3)), lambda: env.sphere_center, lambda: env.figure()):
         with pytest.raises(ResetNeeded, match="reset"):
@@ -62,7 +62,7 @@ def test_unknown_object_names_the_training_command(make):
         make(estimator=PickyEstimator())
 
 
-def test_own_estimator_may_know_everything(make):
+def test_own_estimator_without_object_names(make):
     make(estimator=ConstantEstimator()).reset(seed=0)
 
 
@@ -87,7 +87,7 @@ def test_bad_arguments(make, arguments, message):
         make(**arguments)
 
 
-def test_an_estimator_that_answers_no_pose(make):
+def test_estimator_returns_an_invalid_pose(make):
     env = make(estimator=ConstantEstimator(np.full((4, 4), np.nan)))
     with pytest.raises(ValueError, match="the estimator's T_cam_obj"):
         env.reset(seed=0)

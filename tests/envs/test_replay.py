@@ -1,4 +1,4 @@
-"""The replay environment is the live one with its answers looked up."""
+"""The replay environment returns what the bank recorded."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ REPLAY = "two_view_pose:TwoViewPoseReplay-v0"
 
 
 @pytest.mark.parametrize("action", ["discrete", "box"])
-def test_it_passes_gymnasiums_check(make_bank: Make, tmp_path: Path, action: str) -> None:
+def test_check_env(make_bank: Make, tmp_path: Path, action: str) -> None:
     write_bank(tmp_path / "bank.npz", make_bank(4))
     env = gym.make(REPLAY, bank=str(tmp_path / "bank.npz"), action=action, mirror=True)
     check_env(env.unwrapped, skip_render_check=True)
@@ -36,7 +36,7 @@ def test_a_step_is_what_was_recorded(make_bank: Make) -> None:
             bank.first_error[scene] * diameter
         )
         assert set(info["ground_truth"]) == {"visibility", "add_first", "success"}
-        simulated = env.unwrapped.simulate_action(5)
+        (simulated,) = env.unwrapped.simulate_actions([5])
         second, reward, terminated, truncated, info = env.step(5)
         assert simulated[1] == reward and terminated and not truncated
         expected = -min(bank.second_error[scene, 5], 1.0) - 0.1 * bank.travel[scene, 5]
@@ -61,8 +61,8 @@ def test_a_box_action_takes_the_nearest_view(make_bank: Make) -> None:
             offset = camera_center(bank.second_T_cam_world[scene, slot]) - bank.center[scene]
             x, y, z = offset
             distance = np.linalg.norm(offset)
-            turned = np.arctan2(y, x) - sphere.reference_position.azimuth
-            azimuth = np.angle(np.exp(1j * turned))
+            offset_azimuth = np.arctan2(y, x) - sphere.reference_position.azimuth
+            azimuth = np.angle(np.exp(1j * offset_azimuth))
             elevation = np.rad2deg(np.arcsin(z / distance))
             action = np.array(
                 [
@@ -75,18 +75,18 @@ def test_a_box_action_takes_the_nearest_view(make_bank: Make) -> None:
             np.testing.assert_allclose(chosen, bank.second_T_cam_world[scene, slot])
 
 
-def test_scenes_are_drawn_from_the_seed_or_come_in_order(make_bank: Make) -> None:
+def test_scenes_are_sampled_with_the_seed_or_in_order(make_bank: Make) -> None:
     bank = make_bank(6)
     env = gym.make(REPLAY, bank=bank, scenes=(2, 6))
     drawn = [env.reset(seed=s)[1]["scene_seed"] for s in range(40)]
     assert drawn == [env.reset(seed=s)[1]["scene_seed"] for s in range(40)]
     assert set(drawn) == set(bank.scene_seed[2:].tolist())
     env = gym.make(REPLAY, bank=bank, scenes=(2, 6), shuffle=False)
-    turn = [env.reset()[1]["scene_seed"] for _ in range(8)]
-    assert turn == [*bank.scene_seed[2:].tolist()] * 2
+    in_order = [env.reset()[1]["scene_seed"] for _ in range(8)]
+    assert in_order == [*bank.scene_seed[2:].tolist()] * 2
 
 
-def test_in_the_mirror_left_is_right(make_bank: Make) -> None:
+def test_mirror_swaps_left_and_right(make_bank: Make) -> None:
     bank = make_bank(2)
     env = gym.make(REPLAY, bank=bank, mirror=True)
     seen = set()
@@ -114,7 +114,7 @@ def test_mirroring_twice_changes_nothing(make_bank: Make) -> None:
     rotation = mirror.observation(bank.first)["rotation"].reshape(-1, 2, 3)
     third = np.cross(rotation[:, 0], rotation[:, 1])
     np.testing.assert_allclose(np.linalg.norm(third, axis=1), 1.0, atol=1e-5)
-    with pytest.raises(ValueError, match="the same to the left and right"):
+    with pytest.raises(ValueError, match="symmetric in azimuth"):
         Mirror(np.deg2rad([(30.0, 20.0), (-40.0, 20.0)]))
 
 

@@ -1,4 +1,4 @@
-"""Several second views: a budget, a price, and an action that stops."""
+"""Several second views: budget, view cost and stop action."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def env() -> Any:
     env.close()
 
 
-def test_it_passes_gymnasiums_check(env: Any) -> None:
+def test_check_env(env: Any) -> None:
     check_env(env, skip_render_check=True)
 
 
@@ -34,10 +34,10 @@ def test_the_budget_ends_the_episode(env: Any) -> None:
     for count, action in enumerate((3, 20, 9), start=1):
         observation, reward, terminated, truncated, info = env.step(action)
         assert terminated == (count == 3) and truncated is False
-        way, travel = info["travel"] - travel, info["travel"]
-        paid = 0.02 + 0.05 * way
+        distance, travel = info["travel"] - travel, info["travel"]
+        cost = 0.02 + 0.05 * distance
         error = info["ground_truth"]["add_second"] / info["diameter"]
-        assert reward == pytest.approx(-paid - (min(error, 1.0) if terminated else 0.0))
+        assert reward == pytest.approx(-cost - (min(error, 1.0) if terminated else 0.0))
         assert info["second_views"] == count == len(env.views) - 1
         assert observation["views_left"] == pytest.approx(1 - count / 3, abs=1e-6)
         assert np.flatnonzero(observation["taken"]).tolist() == sorted((3, 20, 9)[:count])
@@ -66,8 +66,8 @@ def test_views_are_counted_from_the_reference(env: Any) -> None:
 def test_simulated_actions_leave_the_episode_unchanged(env: Any) -> None:
     env.reset(seed=4)
     env.step(1)
-    simulated = env.simulate_action(7)
-    assert env.simulate_action(7)[1] == simulated[1] and len(env.views) == 2
+    simulated, again = env.simulate_actions([7, 7])
+    assert again[1] == simulated[1] and len(env.views) == 2
     observation, reward, *_ = env.step(7)
     assert reward == simulated[1]
     for key, value in observation.items():

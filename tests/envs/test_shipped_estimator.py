@@ -1,4 +1,4 @@
-"""The environments as users get them: thirteen objects, whole frames, the weights that ship."""
+"""The environments as users get them: thirteen objects, full-size frames, the weights that ship."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
+from two_view_pose.envs.protocol import resolve_estimator
 
 IDS = ("TwoViewPose-v0", "TwoViewPoseDiscrete-v0")
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_checkers_have_nothing_to_say_of_the_defaults(env_id, capsys):
+def test_check_env_without_warnings_by_default(env_id, capsys):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         env = gym.make(env_id)
@@ -46,15 +47,15 @@ def test_same_seed_same_bytes_and_second_views_help():
     assert np.median(second) < 0.5 * np.median(first)
 
 
-def test_an_estimate_does_not_depend_on_what_else_is_asked():
+def test_batched_estimates_equal_single_ones():
     env = gym.make("TwoViewPose-v0", scene="clutter")
-    estimator = env.unwrapped._estimator
+    estimator = resolve_estimator("mid")
     requests = []
     for seed in range(5):
         env.reset(seed=seed)
         env.step(np.array([0.5, 0.2, 0.0], np.float32))
         views = env.unwrapped.views[: 1 + seed % 2]
-        # As new pictures, of which nothing is remembered.
+        # As new images, which are not cached.
         requests.append((tuple(replace(view) for view in views), env.unwrapped.object_name))
     env.close()
     together = estimator.estimate_batch(requests)

@@ -48,15 +48,15 @@ def test_same_seed_same_bytes(make):
 
 def test_another_seed_is_another_scene(make):
     env = make()
-    pictures = []
+    images = []
     for seed in (1, 2):
         env.reset(seed=seed)
-        pictures.append(env.views[0].image)
-    assert not np.array_equal(*pictures)
+        images.append(env.views[0].image)
+    assert not np.array_equal(*images)
 
 
 @pytest.mark.parametrize("with_object", [False, True])
-def test_an_episode_is_played_again_from_its_info(make, with_object):
+def test_an_episode_is_replayed_from_its_info(make, with_object):
     env = make()
     _, info = env.reset(seed=3)
     first = env.step(np.zeros(3))
@@ -81,7 +81,7 @@ def test_observations_are_fresh_and_in_the_space(make):
     np.testing.assert_array_equal(seen[0]["uncertainty"], 2)
 
 
-def test_not_a_number_in_the_covariance_counts_as_hopeless(make):
+def test_nan_covariance_is_maximum_uncertainty(make):
     env = make(estimator=ConstantEstimator(sigma=np.nan))
     np.testing.assert_array_equal(env.reset(seed=0)[0]["uncertainty"], 2)
 
@@ -107,7 +107,7 @@ def test_object_one_hot_and_order(make, objects):
         assert info["object"] == name
 
 
-def test_truth_is_under_ground_truth_alone(make):
+def test_truth_is_only_under_ground_truth(make):
     env = make(estimator=ConstantEstimator())
     _, info = env.reset(seed=5)
     assert set(info["ground_truth"]) == {"T_cam_obj", "visibility", "add_first", "success"}
@@ -140,13 +140,13 @@ def test_reward(make, objects, weight):
     assert terminated is True and truncated is False
 
 
-def test_a_hopeless_pose_costs_one(make):
+def test_the_error_in_the_reward_is_clipped_to_one(make):
     env = make(estimator=ConstantEstimator(pose((0, 0, 0), (0, 0, 9.0))), travel_weight=0.0)
     env.reset(seed=0)
     assert env.step(np.zeros(3))[1] == -1.0
 
 
-def test_without_an_estimator_travel_alone_is_paid_for(make):
+def test_reward_without_an_estimator_is_the_travel_cost(make):
     env = make()
     observation, info = env.reset(seed=2)
     for key in ("rotation", "translation", "uncertainty", "score"):
@@ -157,12 +157,12 @@ def test_without_an_estimator_travel_alone_is_paid_for(make):
     assert reward < 0 and terminated
 
 
-def test_action_is_a_place_on_the_sphere_around_the_estimate(make):
+def test_action_is_a_viewpoint_on_the_sphere_around_the_estimate(make):
     env = make(estimator=TableEstimator())
     env.reset(seed=4)
-    middle = np.array([0.0, 0.0, 0.03])
-    np.testing.assert_allclose(env.sphere_center, middle, atol=1e-12)
-    reference = camera_center(env.views[0].T_cam_world) - middle
+    center = np.array([0.0, 0.0, 0.03])
+    np.testing.assert_allclose(env.sphere_center, center, atol=1e-12)
+    reference = camera_center(env.views[0].T_cam_world) - center
     for action, offset, elevation, distance in (
         ((-1, -1, -1), -90, 7, 0.6),
         ((1, 1, 1), 90, 82, 1.4),
@@ -170,17 +170,17 @@ def test_action_is_a_place_on_the_sphere_around_the_estimate(make):
         ((0.5, -0.2, 0.25), 45, 37, 1.1),
     ):
         T_cam_world = env.camera_pose(np.array(action, dtype=np.float32))
-        x, y, z = camera_center(T_cam_world) - middle
+        x, y, z = camera_center(T_cam_world) - center
         assert np.linalg.norm((x, y, z)) == pytest.approx(distance, abs=1e-6)
         assert np.rad2deg(np.arcsin(z / distance)) == pytest.approx(elevation, abs=1e-4)
-        turned = np.rad2deg(np.arctan2(y, x) - np.arctan2(reference[1], reference[0]))
-        assert (turned - offset + 180) % 360 - 180 == pytest.approx(0, abs=1e-4)
-        x, y, z = transform(T_cam_world, middle)  # it looks at the middle, level
+        difference = np.rad2deg(np.arctan2(y, x) - np.arctan2(reference[1], reference[0]))
+        assert (difference - offset + 180) % 360 - 180 == pytest.approx(0, abs=1e-4)
+        x, y, z = transform(T_cam_world, center)  # it looks at the center, without roll
         np.testing.assert_allclose((x, y), 0, atol=1e-9)
         assert invert(T_cam_world)[2, 0] == pytest.approx(0, abs=1e-9)
 
 
-def test_a_wild_estimate_keeps_the_camera_above_the_table(make):
+def test_an_implausible_estimate_keeps_the_camera_above_the_table(make):
     for translation in ((0, 0, -3.0), (8, 8, 8), (0, 50, 1)):
         env = make(estimator=ConstantEstimator(pose((0, 0, 0), translation)))
         env.reset(seed=1)
@@ -210,26 +210,26 @@ def test_crop_shows_the_detection_and_what_is_around_it(make):
     estimator.roi = replace(estimator.roi, side=60 / CROP_SCALE)
     env = make(estimator=estimator, image_size=60)  # the side of the crop: one to one
     observation, _ = env.reset(seed=0)
-    picture = env.views[0].image
-    half = 0.5 * (picture[30:90, 50:110].astype(float) + picture[31:91, 51:111])  # center 80, 60
+    image = env.views[0].image
+    half = 0.5 * (image[30:90, 50:110].astype(float) + image[31:91, 51:111])  # center 80, 60
     assert np.abs(observation["image"].astype(float) - half).mean() < 6
     assert env.observation_space["image"].shape == (60, 60, 3)
 
 
 def test_pose_noise_reaches_the_estimator_only(make):
-    told, seen = [], []
+    poses, seen = [], []
     for noise in (None, PoseNoise(2.0, 0.01), (2.0, 0.01)):
         estimator = ConstantEstimator()
         env = make(estimator=estimator, pose_noise=noise)
         env.reset(seed=9)
         *_, info = env.step(np.array([0.5, 0.0, 0.0]))
-        told.append(relative(estimator.calls[-1][0]))
+        poses.append(relative(estimator.calls[-1][0]))
         info["images"] = np.stack([view.image for view in env.views])
         info["reference"] = estimator.calls[-1][0][0].T_cam_world
         seen.append(info)
     assert same(seen[0], seen[1]) and same(seen[0], seen[2])
-    np.testing.assert_array_equal(told[1], told[2])
-    error = told[1] @ invert(told[0])
+    np.testing.assert_array_equal(poses[1], poses[2])
+    error = poses[1] @ invert(poses[0])
     angle = np.rad2deg(np.arccos((np.trace(error[:3, :3]) - 1) / 2))
     assert 0.1 < angle < 12 and 1e-4 < np.linalg.norm(error[:3, 3]) < 0.06
 
@@ -245,7 +245,7 @@ def test_simulated_actions_are_steps(make, batched):
         assert estimator.batches == [(2,) * 8, (2,) * 4]
     assert len(env.views) == 1  # the episode is as it was
     for action, (observation, reward, *ends, info) in enumerate(simulated):
-        once = env.simulate_action(action)
+        (once,) = env.simulate_actions([action])
         stepped = env.step(action)
         env.reset(seed=6)
         for other in (once, stepped):
@@ -257,16 +257,16 @@ def test_candidate_views(make):
     env = make(TwoViewPoseDiscreteEnv, estimator=TableEstimator())
     assert env.action_space == gym.spaces.Discrete(24) and len(CANDIDATE_VIEWS) == 24
     env.reset(seed=1)
-    middle = np.array([0.0, 0.0, 0.03])
-    reference = camera_center(env.views[0].T_cam_world) - middle
+    center = np.array([0.0, 0.0, 0.03])
+    reference = camera_center(env.views[0].T_cam_world) - center
     for i in (0, np.int64(10), np.array(23)):
-        x, y, z = camera_center(env.camera_pose(i)) - middle
+        x, y, z = camera_center(env.camera_pose(i)) - center
         offset, elevation = CANDIDATE_VIEWS[int(i)]
         radius = np.clip(np.linalg.norm(reference), 0.6, 1.4)
         assert np.linalg.norm((x, y, z)) == pytest.approx(radius)
         assert np.rad2deg(np.arcsin(z / radius)) == pytest.approx(elevation)
-        turned = np.rad2deg(np.arctan2(y, x) - np.arctan2(reference[1], reference[0]))
-        assert (turned - offset + 180) % 360 - 180 == pytest.approx(0, abs=1e-6)
+        difference = np.rad2deg(np.arctan2(y, x) - np.arctan2(reference[1], reference[0]))
+        assert (difference - offset + 180) % 360 - 180 == pytest.approx(0, abs=1e-6)
     assert make(TwoViewPoseDiscreteEnv, candidate_views=[(30, 45)]).action_space.n == 1
 
 

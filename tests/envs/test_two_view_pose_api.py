@@ -1,4 +1,4 @@
-"""The environment as Gymnasium and Stable-Baselines3 use it: checkers, vectors, pictures."""
+"""The environment as Gymnasium and Stable-Baselines3 use it: checkers, vectors, frames."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_every_id_is_tested():
 
 @pytest.mark.parametrize("env_id", IDS)
 @pytest.mark.parametrize("estimated", [True, False])
-def test_checkers_have_nothing_to_say(env_id, estimated, small, capsys):
+def test_check_env_without_warnings(env_id, estimated, small, capsys):
     if not estimated:
         small["estimator"] = None
     with warnings.catch_warnings():
@@ -84,7 +84,7 @@ def test_vector_of_discrete_actions(small):
     env.close()
 
 
-def test_gymnasiums_own_vectorizer_can_be_told(small):
+def test_sync_vector_env_with_same_step_autoreset(small):
     env = gym.make_vec(
         "TwoViewPose-v0",
         num_envs=1,
@@ -120,20 +120,20 @@ def test_frame_without_an_estimator(small):
     env.close()
 
 
-def test_no_window_no_pygame(monkeypatch, capsys):
+def test_window_without_pygame_writes_a_file(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "pygame", None)  # importing it fails
     window, frame = Window("test"), np.full((8, 12, 3), 77, np.uint8)
     window.show(frame)
     window.show(frame + 1)
     assert window.file is not None
     np.testing.assert_array_equal(np.asarray(Image.open(window.file)), frame + 1)
-    said = capsys.readouterr().err
-    assert said.count("pip install pygame") == 1 and str(window.file) in said
+    printed = capsys.readouterr().err
+    assert printed.count("pip install pygame") == 1 and str(window.file) in printed
     window.close()
     window.close()
 
 
-def test_importing_and_registering_is_light():
+def test_import_is_light():
     code = (
         "import sys, two_view_pose; print([m for m in ('torch', 'mujoco', 'stable_baselines3', "
         "'cv2', 'scipy') if m in sys.modules])"

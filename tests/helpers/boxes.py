@@ -11,31 +11,31 @@ from two_view_pose.pose_estimator.bop.boxes import bounding_box
 from two_view_pose.pose_estimator.bop.dataset import BopAnnotation
 from two_view_pose.pose_estimator.bop.writer import BopFrame
 
-COLOURS = {"brick": (220, 40, 40), "crate": (40, 60, 220)}
+COLORS = {"brick": (220, 40, 40), "crate": (40, 60, 220)}
 
 
 def box_model(name: str, obj_id: int, extents: tuple[float, ...], symmetric: bool) -> ObjectModel:
     """A box; the symmetric one looks the same after half a turn about z."""
     box = trimesh.creation.box(extents)
     corners = np.asarray(box.vertices)
-    turn = make_transform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    half_turn = make_transform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     return ObjectModel(
         name=name,
         obj_id=obj_id,
         vertices=corners,
         faces=np.asarray(box.faces, dtype=np.int32),
         uv=np.zeros((8, 2), np.float32),
-        texture=np.full((4, 4, 3), COLOURS[name], np.uint8),
+        texture=np.full((4, 4, 3), COLORS[name], np.uint8),
         keypoints=np.vstack([corners, np.zeros(3)]),
         diameter=float(np.linalg.norm(extents)),
-        symmetries=np.stack([np.eye(4), turn]) if symmetric else np.eye(4)[None],
+        symmetries=np.stack([np.eye(4), half_turn]) if symmetric else np.eye(4)[None],
         points=trimesh.sample.sample_surface(box, 200, seed=0)[0],
         stable_poses=np.eye(4)[None],
     )
 
 
 def orbit(azimuth: float, elevation: float, distance: float) -> np.ndarray:
-    """T_cam_world (4, 4) of a camera that looks at the world's origin, z up; degrees, metres."""
+    """T_cam_world (4, 4) of a camera that looks at the world's origin, z up; degrees, meters."""
     azimuth, elevation = np.radians([azimuth, elevation])
     flat = np.cos(elevation)
     out = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
@@ -56,14 +56,14 @@ def silhouette(model: ObjectModel, T_cam_obj: np.ndarray, K: np.ndarray) -> np.n
 def flat_frame(
     objects: dict[str, ObjectModel], T_world_obj: dict[str, np.ndarray], T_cam_world: np.ndarray
 ) -> BopFrame:
-    """A picture of plainly coloured silhouettes side by side."""
+    """An image of plainly colored silhouettes side by side."""
     rgb = np.full((480, 640, 3), (120, 130, 110), np.uint8)
     annotations, masks = [], []
     for name, T in T_world_obj.items():
         model = objects[name]
         T_cam_obj = T_cam_world @ T
         mask = silhouette(model, T_cam_obj, LINEMOD_K)
-        rgb[mask] = COLOURS[name]
+        rgb[mask] = COLORS[name]
         box = bounding_box(mask)
         count = int(mask.sum())
         annotations.append(BopAnnotation(model.obj_id, T_cam_obj, 1.0, box, box, count, count))

@@ -16,7 +16,7 @@ def pose(rotation_vector: Sequence[float], translation: Sequence[float]) -> np.n
 
 
 class ConstantEstimator:
-    """Answers the same pose to everything, and keeps what it was shown."""
+    """Returns the same pose always, and records its inputs."""
 
     def __init__(
         self, T_cam_obj: np.ndarray | None = None, sigma: float = 0.02, score: float = 0.75
@@ -35,7 +35,7 @@ class ConstantEstimator:
 
 
 class TableEstimator(ConstantEstimator):
-    """Says that the object stands upright in the middle of the table, whatever the camera."""
+    """Returns the pose of an object upright at the center of the table."""
 
     def estimate(self, views: Sequence[View], object_name: str) -> PoseEstimate:
         self.T_cam_obj = views[0].T_cam_world @ pose((0.0, 0.0, 0.4), (0.0, 0.0, 0.03))
@@ -43,7 +43,7 @@ class TableEstimator(ConstantEstimator):
 
 
 class BatchedEstimator(TableEstimator):
-    """Takes several at once, and remembers how many views each request had."""
+    """Estimates batches, and records how many views each request had."""
 
     thread_safe = True
 
@@ -63,5 +63,5 @@ class PickyEstimator(ConstantEstimator):
 
 
 def relative(views: Sequence[View]) -> np.ndarray:
-    """T_second_reference of what an estimator was told, (4, 4)."""
+    """T_second_reference of the input of an estimator, (4, 4)."""
     return views[1].T_cam_world @ invert(views[0].T_cam_world)

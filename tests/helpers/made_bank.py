@@ -1,4 +1,4 @@
-"""View banks that are quickly made and have something to learn in them."""
+"""Synthetic view banks from which a policy can learn something."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from two_view_pose.envs.view_banks.bank import BankHeader, ViewBank
 
 
 def made_bank(scenes: int, seed: int = 0, size: int = 36) -> ViewBank:
-    """So many scenes.
+    """Makes a bank.
 
-    A red bar in the picture stands left or right of the middle, and the views from its side fail:
+    A red bar in the image stands left or right of the middle, and the views from its side fail:
     what a policy can learn. The first estimates are wrong; later ones are uncertain where wrong.
     """
     rng = np.random.default_rng(seed)
@@ -47,12 +47,12 @@ def made_bank(scenes: int, seed: int = 0, size: int = 36) -> ViewBank:
     for i in range(scenes):
         image[i, :, bar[i] - 3 : bar[i] + 3] = (220, 30, 30)
     one_hot = np.eye(3, dtype=np.float32)[rng.integers(3, size=scenes)]
-    sure = np.where(error < 0.1, -0.8, 0.9).astype(np.float32)
+    log_sigma = np.where(error < 0.1, -0.8, 0.9).astype(np.float32)
 
     def camera(T: np.ndarray, middle: np.ndarray, start: float) -> np.ndarray:
         place = SpherePosition.of(T, middle)
-        turn = place.azimuth - start
-        angles = (place.elevation, turn, place.roll)
+        offset = place.azimuth - start
+        angles = (place.elevation, offset, place.roll)
         return np.array([place.distance, *(f(a) for a in angles for f in (np.sin, np.cos))])
 
     rotation = T_cam_obj[:, :3, :2].transpose(0, 2, 1).reshape(scenes, 6).astype(np.float32)
@@ -73,7 +73,7 @@ def made_bank(scenes: int, seed: int = 0, size: int = 36) -> ViewBank:
             object_names=names,
             diameters=(0.15, 0.11, 0.28),
             candidate_views=CANDIDATE_VIEWS,
-            estimator="nobody",
+            estimator="none",
             seed=seed,
         ),
         first={
@@ -88,7 +88,7 @@ def made_bank(scenes: int, seed: int = 0, size: int = 36) -> ViewBank:
         second={
             "rotation": every_slot(rotation),
             "translation": every_slot(T_cam_obj[:, :3, 3]),
-            "uncertainty": np.repeat(sure[..., None], 9, axis=2),
+            "uncertainty": np.repeat(log_sigma[..., None], 9, axis=2),
             "score": np.full((scenes, slots, 1), 0.5, np.float32),
             "camera": np.array(second_camera, np.float32),
         },

@@ -8,7 +8,7 @@ from two_view_pose.assets.object_model import ObjectModel
 
 
 def primitive_model(name: str, mesh: trimesh.Trimesh, obj_id: int = 1) -> ObjectModel:
-    """An ObjectModel of a watertight mesh, textured with a colour wheel of its directions."""
+    """An ObjectModel of a watertight mesh, textured with a color wheel of its directions."""
     mesh = mesh.copy()
     mesh.apply_translation(-mesh.bounds.mean(axis=0))
     directions = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)

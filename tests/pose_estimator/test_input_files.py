@@ -42,7 +42,7 @@ def test_depth_keeps_its_sixteen_bits(tmp_path):
 def test_truncated_files_are_refused(tmp_path, suffix, share):
     data = cv2.imencode(suffix, RGB)[1].tobytes()
     path = written(tmp_path / f"a{suffix}", data[: int(share * len(data))])
-    with pytest.raises(ValueError, match=r"is not a picture file .* truncated"):
+    with pytest.raises(ValueError, match=r"is not an image file .* truncated"):
         read_image(path)
 
 

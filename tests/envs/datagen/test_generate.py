@@ -168,7 +168,7 @@ def test_distractors_stand_around_and_are_never_the_target(config, tmp_path):
         generate(replace(changed, distractors=()))
     with pytest.raises(ValueError, match="domain_randomization is 'strong' there, 'default' here"):
         generate(replace(changed, domain_randomization="default"))
-    with pytest.raises(ValueError, match="two objects are called 'ape'"):
+    with pytest.raises(ValueError, match="two objects have the name 'ape'"):
         generate(replace(changed, out=tmp_path / "other", distractors=("ape",)))
 
 
@@ -240,7 +240,7 @@ def test_the_mesh_cache_gives_the_same_bytes(tmp_path, monkeypatch):
     sets = []
     for folder, cache in (("cold", "cache"), ("kept", "cache"), ("without", "capsule.ply")):
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / cache))
-        mesh_import._import.cache_clear()  # as another process
+        mesh_import.import_cached.cache_clear()  # as another process
         objects = (str(tmp_path / "capsule.ply"), str(tmp_path / "other.ply"))
         size = {"width": 96, "height": 72}
         generate(GenerateConfig(tmp_path / folder, scenes=2, views=2, objects=objects, **size))

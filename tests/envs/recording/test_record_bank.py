@@ -1,4 +1,4 @@
-"""Recording: a bank is what the live environment answers, also after a kill."""
+"""record-bank: same values as the live environment, and resuming."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> RecordBankConfig:
     return config
 
 
-def test_a_bank_is_what_the_live_environment_answers(config: RecordBankConfig) -> None:
+def test_bank_equals_the_live_environment(config: RecordBankConfig) -> None:
     bank = read_bank(config.out)
     assert bank.header.object_names == ("duck", "cat")
     env = gym.make(
@@ -50,10 +50,10 @@ def test_a_bank_is_what_the_live_environment_answers(config: RecordBankConfig) -
 def test_a_finished_bank_is_not_recorded_again(
     config: RecordBankConfig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(module, "_record_scenes", lambda config: pytest.fail("recorded again"))
+    monkeypatch.setattr(module, "record_scenes", lambda config: pytest.fail("recorded again"))
     record_bank(config)
     record_bank(replace(config, verify=True))
-    assert capsys.readouterr().out.count("checksum fits") == 2
+    assert capsys.readouterr().out.count("checksum matches") == 2
     assert not config.parts.exists()
     for other in (replace(config, seed=6), replace(config, pose_noise=(0.5, 0.003))):
         with pytest.raises(ValueError, match="bank of other scenes"):
@@ -121,7 +121,7 @@ def test_photographs_become_a_bank(tmp_path: Path) -> None:
     assert (bank.second_error < 0.1).mean() > 0.3
 
 
-def test_up_comes_from_the_objects_where_there_is_no_world(tmp_path: Path) -> None:
+def test_level_camera_without_a_world_frame(tmp_path: Path) -> None:
     generate(
         GenerateConfig(
             out=tmp_path, scenes=1, views=2, scene="linemod", objects=("duck",), split="test",
@@ -131,17 +131,17 @@ def test_up_comes_from_the_objects_where_there_is_no_world(tmp_path: Path) -> No
     for image in read_dataset(tmp_path):
         assert image.T_cam_world is not None
         up = image.T_cam_world[:3, 2]
-        lost = replace(image, T_cam_world=None)
+        worldless = replace(image, T_cam_world=None)
         upright = tuple(a for a in image.annotations if a.T_cam_obj[:3, 2] @ up > 0.999)
-        T = level_camera(replace(lost, annotations=upright))
+        T = level_camera(replace(worldless, annotations=upright))
         np.testing.assert_allclose(T[:3, 2], up, atol=1e-6)
         np.testing.assert_allclose(invert(T)[:3, 3], 0.0, atol=1e-9)
 
 
 def test_wrong_arguments(tmp_path: Path) -> None:
     for arguments, message in (
-        ({"scenes": 0}, "scenes must be at least 1"),
-        ({"seed": -1}, "seed must be at least 0"),
+        ({"scenes": 0}, "scenes must be >= 1"),
+        ({"seed": -1}, "seed must be >= 0"),
         ({"out": tmp_path / "bank.h5"}, "must be an .npz file"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -83,7 +83,7 @@ def test_every_sub_environment_is_a_single_environment(make_vector, make, worker
     assert sum(map(len, estimator.batches)) == ENVS * (1 + 2 * 2)
 
 
-def test_an_estimator_that_takes_one_at_a_time_will_do(make_vector):
+def test_estimator_without_batches(make_vector):
     estimator = ConstantEstimator()
     vector = make_vector(TwoViewPoseDiscreteEnv, estimator=estimator, workers=0)
     vector.reset(seed=0)
@@ -112,27 +112,27 @@ def test_a_wrong_action_moves_no_camera(make_vector):
     assert vector.step(actions)[2].all()
 
 
-def test_it_goes_on_after_an_estimator_failed(make_vector, objects):
+def test_reset_after_an_estimator_failed(make_vector, objects):
     class Fails(TableEstimator):
         broken = False
 
         def estimate(self, views, object_name):
             if self.broken:
-                raise RuntimeError("out of ideas")
+                raise RuntimeError("estimator failed")
             return super().estimate(views, object_name)
 
     estimator = Fails()
     vector = make_vector(workers=2, estimator=estimator)
     expected, _ = vector.reset(seed=3)
     estimator.broken = True
-    with pytest.raises(RuntimeError, match="out of ideas"):
+    with pytest.raises(RuntimeError, match="estimator failed"):
         vector.step(np.zeros((ENVS, 3), np.float32))
     estimator.broken = False
     again, _ = vector.reset(seed=3)
     check_equal(again, expected)
 
 
-def test_a_worker_that_dies_is_named(make_vector):
+def test_killed_worker(make_vector):
     vector = make_vector(workers=1)
     vector.reset(seed=0)
     (worker,) = multiprocessing.active_children()
@@ -144,7 +144,7 @@ def test_a_worker_that_dies_is_named(make_vector):
         vector.reset(seed=0)
 
 
-def test_unknown_options_are_refused(make_vector):
+def test_unknown_reset_options(make_vector):
     vector = make_vector(workers=0)
     with pytest.raises(ValueError, match="unknown reset option"):
         vector.reset(options={"weather": "rain"})
@@ -176,7 +176,7 @@ def test_arguments_are_checked(make_vector, arguments, text):
         make_vector(**arguments)
 
 
-def test_episodes_of_several_steps_are_refused(make_vector):
+def test_sequential_environment_is_refused(make_vector):
     with pytest.raises(ValueError, match="SyncVectorEnv"):
         make_vector(TwoViewPoseSequentialEnv)
 
@@ -187,7 +187,7 @@ def test_one_seed_for_each_sub_environment(make_vector):
         vector.reset(seed=[1, 2])
 
 
-def test_sub_environments_can_be_asked(make_vector):
+def test_call_and_get_attr(make_vector):
     vector = make_vector(workers=0, render_mode="rgb_array", travel_weight=0.5)
     vector.reset(seed=0)
     assert vector.get_attr("travel_weight") == (0.5,) * ENVS
@@ -195,7 +195,7 @@ def test_sub_environments_can_be_asked(make_vector):
     assert [frame.shape for frame in vector.render()] == [(664, 1360, 3)] * ENVS
 
 
-def test_square_pictures_show_the_middle(make):
+def test_square_images_are_a_center_crop(make):
     env = make(resolution=(84, 84), image_size=84, render_mode="rgb_array")
     observation, _ = env.reset(seed=0)
     assert observation["image"].shape == (84, 84, 3)
@@ -204,7 +204,7 @@ def test_square_pictures_show_the_middle(make):
     assert env.render().ndim == 3
 
 
-def test_gymnasium_makes_it_by_name(objects):
+def test_make_vec(objects):
     env = gym.make_vec(
         "TwoViewPoseDiscrete-v0",
         num_envs=2,
@@ -221,8 +221,8 @@ def test_gymnasium_makes_it_by_name(objects):
 
 SCRIPT = """
 import gymnasium as gym
-from two_view_pose.envs.scene import SceneConfig
-class Own(SceneConfig):
+from two_view_pose.envs.simulation.scene import SceneConfig
+class OwnConfig(SceneConfig):
     pass
 envs = gym.make_vec("two_view_pose:TwoViewPose-v0", num_envs=2, estimator=None,
                     resolution=(36, 48), image_size=36, objects=("duck",), scene={scene})
@@ -231,9 +231,9 @@ envs.close()
 """
 
 
-@pytest.mark.parametrize(("scene", "works"), [("SceneConfig()", True), ("Own()", False)])
-def test_a_script_without_a_guard(scene, works, tmp_path):
-    """Workers do not run it again; where they must, for a class of its own, that is said."""
+@pytest.mark.parametrize(("scene", "works"), [("SceneConfig()", True), ("OwnConfig()", False)])
+def test_script_without_a_main_guard(scene, works, tmp_path):
+    """Workers do not rerun the script, unless it defines a class of an argument: an error."""
     script = tmp_path / "script.py"
     script.write_text(SCRIPT.format(scene=scene))
     command = [sys.executable, os.fspath(script)]

@@ -1,4 +1,4 @@
-"""A bank says what it holds, comes back as it was, and a damaged one is found out."""
+"""Files of view banks: round trip, and corrupted files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from two_view_pose.envs.view_banks.bank import ViewBank, concatenate, read_bank,
 Make = Callable[..., ViewBank]
 
 
-def test_what_is_written_is_read(make_bank: Make, tmp_path: Path) -> None:
+def test_round_trip(make_bank: Make, tmp_path: Path) -> None:
     bank = make_bank(5)
     path = tmp_path / "sub" / "bank.npz"
     write_bank(path, bank)
@@ -30,7 +30,7 @@ def test_what_is_written_is_read(make_bank: Make, tmp_path: Path) -> None:
     assert path.read_bytes() == first
 
 
-def test_parts_make_the_whole(make_bank: Make) -> None:
+def test_concatenated_subsets_are_the_bank(make_bank: Make) -> None:
     bank = make_bank(6)
     parts = [bank.subset(slice(0, 2)), bank.subset(np.array([2, 3])), bank.subset(slice(4, None))]
     again = concatenate(bank.header, [part.arrays() for part in parts])
@@ -39,34 +39,34 @@ def test_parts_make_the_whole(make_bank: Make) -> None:
 
 
 @pytest.mark.parametrize("name", ["second_error", "first/image", "covariance"])
-def test_a_changed_number_is_found(make_bank: Make, tmp_path: Path, name: str) -> None:
+def test_changed_values_fail_the_checksum(make_bank: Make, tmp_path: Path, name: str) -> None:
     path = tmp_path / "bank.npz"
     write_bank(path, make_bank(3))
     with np.load(path) as file:
         arrays = {key: file[key] for key in file.files}
     arrays[name].reshape(-1)[1] += 1
     np.savez_compressed(path, **arrays)
-    with pytest.raises(ValueError, match="checksum does not fit"):
+    with pytest.raises(ValueError, match="checksum does not match"):
         read_bank(path)
 
 
-def test_what_is_no_bank_is_refused(make_bank: Make, tmp_path: Path) -> None:
+def test_invalid_files(make_bank: Make, tmp_path: Path) -> None:
     path = tmp_path / "bank.npz"
     with pytest.raises(FileNotFoundError, match="record-bank --out"):
         read_bank(path)
     path.write_bytes(b"PK\x03\x04 nonsense")
-    with pytest.raises(ValueError, match="not a whole view bank"):
+    with pytest.raises(ValueError, match="not a valid view bank"):
         read_bank(path)
     write_bank(path, make_bank(3))
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(ValueError, match="not a whole view bank"):
+    valid = path.read_bytes()
+    path.write_bytes(valid[: len(valid) // 2])
+    with pytest.raises(ValueError, match="not a valid view bank"):
         read_bank(path)
     for change, message in (
         ({"format": "another"}, "must have the format"),
-        ({"more": 1}, "damaged"),
+        ({"more": 1}, "corrupted"),
     ):
-        path.write_bytes(whole)
+        path.write_bytes(valid)
         with np.load(path) as file:
             arrays = {key: file[key] for key in file.files}
         header = json.loads(bytes(arrays["header"])) | change
@@ -76,8 +76,8 @@ def test_what_is_no_bank_is_refused(make_bank: Make, tmp_path: Path) -> None:
             read_bank(path)
 
 
-def test_a_pickle_is_not_opened(tmp_path: Path) -> None:
+def test_pickles_are_not_loaded(tmp_path: Path) -> None:
     path = tmp_path / "bank.npz"
     np.savez(path, header=np.array([{"format": "trap"}], dtype=object))
-    with pytest.raises(ValueError, match="not a whole view bank"):
+    with pytest.raises(ValueError, match="not a valid view bank"):
         read_bank(path)
