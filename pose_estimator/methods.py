@@ -1,4 +1,10 @@
-"""The one table of estimation methods: a new one is one file and one row here."""
+"""The table of estimation methods.
+
+To add one, write its estimator in ``fusion/``, most often a
+:class:`~.fusion.two_view.TwoViewEstimator` with a ``fuse``, and a row here. Commands, the study and
+its figures read the table. A method with a network of its own also needs the network's name in
+``networks/parts.py``, the network in ``networks/container.py`` and its stage in ``training/``.
+"""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class EvaluateConfig:
     pairs found from its poses: 10 to 60 degrees apart, four for each reference view."""
     baselines: tuple[float, float] = (0.0, 180.0)
     """Only what the two views of a pair see from so many degrees apart, at the object."""
-    both_ways: bool = False
+    both_directions: bool = False
     """Take each pair a second time with its views exchanged."""
     csv: Path | None = None
     """Write the poses in the reference views as a BOP result file, METHOD_DATASET-SPLIT.csv by
@@ -59,7 +59,7 @@ class EvaluateConfig:
     variance."""
     score: Path | None = None
     """Run no estimator: score this BOP result file, anyone's, on --data."""
-    keep: Path | None = None
+    cache_dir: Path | None = None
     """Keep the rendered scenes in this folder; if they are there already, use them."""
     device: str = "auto"
     """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,

@@ -14,6 +14,7 @@ from ..bop.objects import dataset_objects, has_models
 from ..bop.pairs import PAIRS_FILE, turned_round
 from ..bop.results import surest_of_each_target, write_bop_results
 from ..bop.targets import TARGETS_FILE, is_test, read_targets
+from ..methods import find_method
 from .config import EvaluateConfig
 from .evaluate_pairs import evaluate_pairs
 from .metrics import MeasuredObject
@@ -38,14 +39,14 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     pairs = list(find_pairs(dataset, config.pairs))
     if config.pairs is None and not (root / PAIRS_FILE).is_file():
         print(f"{len(pairs)} pairs of views found from the poses of {root / config.split}")
-    if config.both_ways:
+    if config.both_directions:
         pairs += [turned_round(pair) for pair in pairs]
     outcomes = evaluate_pairs(
         estimator,
         dataset,
         pairs,
         networks.objects,
-        depth=config.method == "rgbd",
+        depth=find_method(config.method).needs_depth,
         ground_truth_rois=_ground_truth_rois(config, networks),
         surfaces=_surfaces(config, dataset, networks.objects),
         targets=_targets(dataset),
@@ -114,4 +115,4 @@ def _command(config: EvaluateConfig) -> str:
             options += f" --{name} {getattr(config, name)}"
     if config.baselines != EvaluateConfig.baselines:
         options += " --baselines {:g} {:g}".format(*config.baselines)
-    return options + " --both-ways" * config.both_ways
+    return options + " --both-directions" * config.both_directions
