@@ -97,7 +97,7 @@ def nearest_symmetric_pose(T_est: np.ndarray, T_true: np.ndarray, model: ObjectM
     """
     T_est, T_true = _check_poses(T_est, T_true)
     distances = _equivalent_distances(transform(T_est, model.keypoints), T_true, model)
-    return T_true @ model.symmetries[int(np.argmin([d.mean() for d in distances]))]
+    return (T_true @ model.symmetries)[int(np.argmin([d.mean() for d in distances]))]
 
 
 def keypoint_distances(keypoints: np.ndarray, T_true: np.ndarray, model: ObjectModel) -> np.ndarray:
