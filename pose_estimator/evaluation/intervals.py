@@ -23,7 +23,7 @@ RESAMPLES = 2000
 QUANTILES = ((1 - 0.95) / 2, (1 + 0.95) / 2)
 """Of the resampled means: the ends of a 95 percent interval."""
 
-_MAX_DRAWS = 1_000_000
+MAX_DRAWS = 1_000_000
 """Values drawn at once, which bounds the memory for long lists."""
 
 
@@ -46,7 +46,7 @@ def bootstrap_interval(
     for values in groups:
         if values.ndim != 1 or not values.size or np.isnan(values).any():
             raise InputError(f"a group must be a non-empty list of numbers, got {values}")
-        rows = max(1, _MAX_DRAWS // values.size)
+        rows = max(1, MAX_DRAWS // values.size)
         shapes = [(min(rows, RESAMPLES - row), values.size) for row in range(0, RESAMPLES, rows)]
         drawn = [values[rng.integers(values.size, size=shape)].mean(axis=1) for shape in shapes]
         means.append(np.concatenate(drawn))

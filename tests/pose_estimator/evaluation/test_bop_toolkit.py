@@ -1,7 +1,6 @@
-"""What we read, write and measure is what BOP's own toolkit does.
+"""Reading, writing and metrics against the stored outputs of bop_toolkit.
 
-The toolkit's answers about a small dataset are kept beside the dataset, since it is no part of this
-project: ``compare_with_bop_toolkit.py`` asks it anew.
+``helpers/compare_with_bop_toolkit.py`` runs the toolkit again.
 """
 
 from __future__ import annotations
@@ -97,11 +96,6 @@ def test_errors_of_poses_are_the_same(root):
         close([add, add_s], [case["add"], case["adi"]], rtol=1e-6)
         either = metrics.add_or_add_s(T_est, T_true, model) * MM
         close(either, case["add" if case["obj_id"] == 1 else "adi"], rtol=1e-6)
-        angles = metrics.rotation_error(T_est, T_true), metrics.rotation_error(
-            T_est, T_true, model.symmetries
-        )  # fmt: skip
-        close(np.degrees(angles), [case["re"], case["re_symmetric"]], rtol=1e-6, atol=1e-6)
-        close(metrics.translation_error(T_est, T_true) * MM, case["te"], rtol=1e-6)
 
 
 def test_result_files_are_written_and_read_alike(tmp_path):

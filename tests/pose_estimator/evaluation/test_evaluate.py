@@ -1,4 +1,4 @@
-"""Evaluating a dataset from its options to the results file, with a method that knows the truth."""
+"""Evaluating a dataset from its options to the results file, with an oracle method."""
 
 import json
 from dataclasses import replace
@@ -36,7 +36,7 @@ def test_a_dataset_is_evaluated_and_written(opened, dataset, boxes, monkeypatch,
         return oracle
 
     monkeypatch.setattr("two_view_pose.pose_estimator.fusion.loading.load", load)
-    target = tmp_path / "figures.json"
+    target = tmp_path / "results.json"
     config = EvaluateConfig(split="train_pbr", json=target)
     evaluate_dataset(config, dataset, {"dataset": "boxes"})
     document = read_results(target)
@@ -60,9 +60,7 @@ def test_a_dataset_is_evaluated_and_written(opened, dataset, boxes, monkeypatch,
     assert "ground-truth ROI: truth" in capsys.readouterr().out
 
 
-def test_outcomes_keep_the_gap_and_are_summed_up_for_each(
-    opened, dataset, boxes, monkeypatch, tmp_path
-):
+def test_outcomes_are_summarized_by_gap(opened, dataset, boxes, monkeypatch, tmp_path):
     pairs = [replace(p, gap=(1, 5)[i % 2]) for i, p in enumerate(read_pairs(dataset))]
     write_pairs(tmp_path / "pairs.json", pairs)
     outcomes = evaluate_pairs(Oracle(opened, boxes), opened, pairs, boxes, progress=False)
@@ -83,7 +81,7 @@ def test_outcomes_keep_the_gap_and_are_summed_up_for_each(
 def test_poses_of_the_reference_views_are_written_once_each(
     opened, dataset, boxes, monkeypatch, tmp_path
 ):
-    # Each brick is asked for with both second views; the estimator is surer of the latter.
+    # Each brick is asked for with both second views; the latter has the smaller variance.
     pairs = [replace(p, target_obj_id=boxes["brick"].obj_id) for p in read_pairs(dataset)]
     write_pairs(tmp_path / "pairs.json", pairs)
     oracle = Oracle(opened, boxes)
@@ -120,7 +118,7 @@ def test_a_dataset_without_pairs_is_paired_by_its_poses(
     oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
     monkeypatch.setattr("two_view_pose.pose_estimator.fusion.loading.load", lambda *a, **k: oracle)
     records = evaluate_dataset(EvaluateConfig(split="train_pbr"), tmp_path, {})
-    # Three scenes of three pictures, all 10 to 60 degrees apart; two objects in each.
+    # Three scenes of three images, all 10 to 60 degrees apart; two objects in each.
     assert "18 pairs of views found from the poses of" in capsys.readouterr().out
     mean = only_record(records, "add_s_recall", object="mean")
     assert mean["value"] == 1.0 and mean["n"] == 36
