@@ -1,9 +1,8 @@
-"""``early``: two views become a depth map first, and keypoints take the depth where they are voted.
+"""``early``: a depth map from two views, which gives the voted keypoints their depth.
 
-What a depth map knows is the surface. A keypoint on the far side of the object, or inside it, gets
-the depth of the surface in front of it, as in the paper; how far it should lie behind that surface
-in the pose so far only widens its covariance, so that the solver leans on the keypoints that the
-reference view can see.
+As in the paper, a keypoint inside or behind the object gets the depth of the surface in front of
+it. Its distance behind that surface in the pose so far widens its covariance, so that the solver
+relies on the keypoints that the reference view sees.
 """
 
 from __future__ import annotations
@@ -28,17 +27,16 @@ _MIN_MASK = 0.5
 """Probability of the object from which a pixel's depth is read."""
 
 _PIXEL_DEVIATION = 0.5
-"""Standard deviation in pixels of the depth map that is added to every vote."""
+"""Standard deviation in pixels of the depth map, added to every vote."""
 
 _SAME_SURFACE = 0.01
-"""Meters from the median within which depths are averaged; others are another surface."""
+"""Meters from the median within which depths are averaged; others belong to another surface."""
 
 _MAX_SURFACE_OFFSET = 0.03
-"""Meters that another surface counts as at most: at the object's rim it may be far behind, and no
-keypoint is there."""
+"""Meters: the distance of another surface is clipped here; at the rim it may be far behind."""
 
 _FOOTPRINT = 0.03
-"""Radius in diameters of the spot of surface that is taken to lie in front of a keypoint."""
+"""Radius in diameters of the surface patch in front of a keypoint."""
 
 
 class DepthMap(NamedTuple):
@@ -56,7 +54,7 @@ class DepthMap(NamedTuple):
 
 
 class EarlyFusionEstimator(TwoViewEstimator):
-    """Early Fusion: views meet in a cascade cost volume, the votes are the reference view's."""
+    """Early Fusion: a cascade cost volume over the views, and votes of the reference view."""
 
     def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
         sweeps = []
@@ -72,17 +70,14 @@ class EarlyFusionEstimator(TwoViewEstimator):
     def depth_maps(
         self, sweeps: Sequence[tuple[Sequence[EncodedView], float, float]]
     ) -> list[DepthMap]:
-        """The depth of reference crops.
+        """Computes depth maps of reference crops, by the last stage of the cascade.
 
         Args:
-            sweeps: of each two views or more, the reference first; the depth of the object's center
-                in the reference camera, m; and its diameter, m.
-
-        Returns:
-            What the last stage of the cascade says of each.
+            sweeps: for each, two or more views, the reference first; the depth of the object's
+                center in the reference camera, m; and its diameter, m.
         """
 
-        def look(sweeps: Sequence[tuple[Sequence[EncodedView], float, float]]) -> list[DepthMap]:
+        def run(sweeps: Sequence[tuple[Sequence[EncodedView], float, float]]) -> list[DepthMap]:
             views = [self._cascade_views(encoded) for encoded, _, _ in sweeps]
             levels = zip(*(v.maps for v in views), strict=True)
             last = self.networks.cascade(
@@ -97,12 +92,12 @@ class EarlyFusionEstimator(TwoViewEstimator):
             parts = zip(as_array(last.depth), as_array(last.variance), strict=True)
             return [DepthMap(depth, variance, last.stride) for depth, variance in parts]
 
-        return self.inference.in_batches(look, sweeps, lambda sweep: len(sweep[0]))
+        return self.inference.in_batches(run, sweeps, lambda sweep: len(sweep[0]))
 
     def _cascade_views(self, encoded: Sequence[EncodedView]) -> CascadeViews:
-        """What the views bring to the cascade, a batch of one."""
+        """Returns the cascade's input, a batch of one."""
         T_ref_world = invert(encoded[0].view.T_cam_world)
-        to_crop = np.linalg.inv(self._to_grid())
+        to_crop = np.linalg.inv(grid_matrix(self.networks.features.config.stride))
         levels = zip(*(e.maps[:4] for e in encoded), strict=True)
         poses = np.stack([e.view.T_cam_world @ T_ref_world for e in encoded])
         return CascadeViews(
@@ -112,10 +107,11 @@ class EarlyFusionEstimator(TwoViewEstimator):
         )
 
     def _read(self, sighting: Sighting, found: DepthMap) -> PoseEstimate:
-        """The pose from a depth map, where the reference's votes are."""
+        """Solves for the pose from the depth map at the reference's votes."""
         model = self.networks.objects[sighting.object_name]
         reference = sighting.encoded[0]
-        to_map = grid_matrix(found.stride) @ np.linalg.inv(self._to_grid())
+        to_grid = grid_matrix(self.networks.features.config.stride)
+        to_map = grid_matrix(found.stride) @ np.linalg.inv(to_grid)
         K_map = to_map @ reference.K_grid
         A = to_map[:2, :2]
         votes = reference.vote_mean @ A.T + to_map[:2, 2]
@@ -127,9 +123,6 @@ class EarlyFusionEstimator(TwoViewEstimator):
         keypoints, covariance = back_project(votes, vote_covariance, depth, variance, K_map)
         return self.answer(sighting, keypoints, covariance, weigh=True)
 
-    def _to_grid(self) -> np.ndarray:
-        return grid_matrix(self.networks.features.config.stride)
-
 
 def read_depth(
     depth: np.ndarray,
@@ -139,26 +132,24 @@ def read_depth(
     vote_covariance: np.ndarray,
     K: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The depth that a map has where keypoints were voted.
+    """Reads a depth map at voted keypoints.
 
-    A keypoint reads all pixels of the object, each by how likely it is to be the voted one: where
-    the vote is sharp that interpolates between its neighbors, and where it lies beside the object
-    it is the object's nearest pixels that count. Depths far from the median belong to other
-    surfaces, and are left out of the mean.
+    A keypoint's depth is the mean over the object's pixels, weighted by the likelihood of the vote:
+    it interpolates for a sharp vote, and takes the object's nearest pixels for one outside. Depths
+    far from the median belong to other surfaces and are left out.
 
     Args:
         depth: (H, W), m.
         variance: of the depths, (H, W), m^2.
-        mask: (G, G) probability of the object, on any grid over the same crop. Where nothing is
-            likely to be the object, all pixels are read.
+        mask: (G, G) probability of the object, on any grid over the same crop; where no pixel is
+            likely, all are read.
         votes: (9, 2), pixels of the map.
         vote_covariance: (9, 2, 2).
         K: (3, 3) camera of the map.
 
     Returns:
-        Depths (9,) in meters, and their variances (9,): the map's own, that of the depths around
-        (as far as another surface counts), and the square of how far the pixels that were read are
-        from the vote.
+        Depths (9,) in meters, and their variances (9,): those of the map, of the depths around,
+        and the squared distance of the pixels from the vote.
     """
     height, width = depth.shape
     inside = cv2.resize(np.asarray(mask, np.float32), (width, height)).ravel() > _MIN_MASK
@@ -178,12 +169,12 @@ def read_depth(
     median = z[order][middle]
     near = weight * (np.abs(z - median[:, None]) <= _SAME_SURFACE)
     mean = (near * z).sum(1) / near.sum(1)
-    doubt = np.minimum(np.abs(z - mean[:, None]), _MAX_SURFACE_OFFSET)
-    around = (weight * (spread + doubt**2)).sum(1)
-    # A sharp vote is half a pixel from its neighbors anyway.
-    beside = np.linalg.norm(np.einsum("kn,kni->ki", weight, offset), axis=1)
+    deviation = np.minimum(np.abs(z - mean[:, None]), _MAX_SURFACE_OFFSET)
+    around = (weight * (spread + deviation**2)).sum(1)
+    # Even a sharp vote is half a pixel from its neighbors.
+    away = np.linalg.norm(np.einsum("kn,kni->ki", weight, offset), axis=1)
     pixel = mean / np.sqrt(abs(np.linalg.det(K[:2, :2])))
-    return mean, around + (np.maximum(beside - _PIXEL_DEVIATION, 0) * pixel) ** 2
+    return mean, around + (np.maximum(away - _PIXEL_DEVIATION, 0) * pixel) ** 2
 
 
 def back_project(
@@ -193,7 +184,7 @@ def back_project(
     variance: np.ndarray,
     K: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) and their covariances (N, 3, 3) from pixels (N, 2) and depths (N,)."""
+    """Returns points (N, 3) and covariances (N, 3, 3) of pixels (N, 2) with depths (N,)."""
     back = np.linalg.inv(K)
     rays = np.concatenate([pixels, np.ones((len(pixels), 1))], 1) @ back.T
     across = depth[:, None, None] * back[:, :2]
@@ -203,7 +194,7 @@ def back_project(
 
 
 def behind_surface(model: ObjectModel, T_cam_obj: np.ndarray) -> np.ndarray:
-    """How far behind the object's front each keypoint lies in a pose, (9,) m, not negative."""
+    """Returns how far each keypoint lies behind the object's front, (9,) m, at least 0."""
     points = transform(T_cam_obj, model.points)
     keypoints = transform(T_cam_obj, model.keypoints)
     depth = np.maximum(points[:, 2], 1e-3)
@@ -211,7 +202,7 @@ def behind_surface(model: ObjectModel, T_cam_obj: np.ndarray) -> np.ndarray:
     across = points[:, :2] / depth[:, None]
     wanted = keypoints[:, :2] / np.maximum(keypoints[:, 2:], 1e-3)
     distance = middle * np.linalg.norm(across - wanted[:, None], axis=-1)
-    # Points are sparse: at least the nearest few are the spot.
+    # Points are sparse: the patch has at least the nearest four.
     radius = np.maximum(_FOOTPRINT * model.diameter, np.sort(distance, 1)[:, 3])
     front = np.where(distance <= radius[:, None], points[:, 2], np.inf).min(1)
     return np.maximum(keypoints[:, 2] - front, 0.0)

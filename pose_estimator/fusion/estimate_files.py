@@ -1,4 +1,4 @@
-"""The command ``estimate``: the pose of an object in a user's own photographs."""
+"""The command ``estimate``: the pose of an object in a user's own images."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from ...core.geometry import LINEMOD_K, View, check_intrinsics, check_rigid
 from ...core.images import read_image
 from ...core.results import write_results
 from ..input_files import read_depth_map, read_matrix
+from ..methods import METHOD_TABLE, find_method
 
 if TYPE_CHECKING:
     from ..types import PoseEstimate
@@ -25,49 +26,49 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class EstimateConfig:
-    """The pose of a known object from two photographs (or one) taken by a calibrated camera.
+    """Estimates the pose of a known object from two images (or one) of a calibrated camera.
 
-    The pose is that of the object in the camera of the reference photograph: OpenCV axes (x right,
-    y down, z forward), meters.
+    The pose is in the camera frame of the reference image: OpenCV axes (x right, y down, z
+    forward), meters.
     """
 
     reference: Path
-    """The first photograph."""
+    """The first image."""
     object: str
     """Name of the object, as the weights know it."""
     K: str
-    """Camera matrix of both photographs in pixels: fx,fy,cx,cy or a file (.json, .txt, .npy) with
+    """Camera matrix of both images in pixels: fx,fy,cx,cy or a file (.json, .txt, .npy) with
     the 3x3 matrix, or `linemod` for LineMOD's camera."""
     second: Path | None = None
-    """The second photograph; without it the answer is that of one view."""
+    """The second image; without it the pose is estimated from one view."""
     relative_pose: Path | None = None
     """File (.json, .txt, .npy) with the 4x4 matrix T_second_reference in meters: it maps points in
     the reference camera's frame to the second camera's frame."""
     method: str = "mid"
     """Estimator: `mid`, `early`, `late` (two views), `single`, or `rgbd` (which needs --depth)."""
     depth: Path | None = None
-    """Depth map of the reference photograph for `rgbd`, aligned with it: a 16-bit PNG or TIFF, or a
-    .npy; 0 where the sensor saw nothing."""
+    """Depth map of the reference image for `rgbd`, aligned with it: a 16-bit PNG or TIFF, or
+    a .npy; 0 = unknown."""
     depth_unit: float | None = None
-    """Meters that one step of the depth map means; none = 0.001 for whole numbers, 1 for others."""
+    """Meters per unit of the depth map; none = 0.001 for integers, 1 for floats."""
     weights: str = "linemod"
     """Name of shipped weights, or a file."""
     device: str = "auto"
     """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
     `cuda:N` or `mps`."""
     out: Path = Path("pose.json")
-    """Where the pose goes."""
+    """Write the pose here."""
     overlay: Path | None = Path("overlay.png")
-    """Where the photographs with the model's outline go."""
+    """Write the images with the model's outline here."""
     json: Path | None = None
-    """Results file with the scores and the time taken."""
+    """Results file with the scores and the runtime."""
 
 
 def parse_intrinsics(text: str) -> np.ndarray:
-    """The camera matrix (3, 3) that ``--K`` stands for.
+    """Returns the camera matrix (3, 3) given by ``--K``.
 
     Raises:
-        InputError: if it stands for none.
+        InputError: if it is malformed.
         FileNotFoundError: if it names a file that does not exist.
     """
     if text == "linemod":
@@ -89,7 +90,7 @@ def parse_intrinsics(text: str) -> np.ndarray:
 
 
 def read_views(config: EstimateConfig) -> list[View]:
-    """The photographs with their cameras; the world is the reference camera's frame.
+    """Reads the images and cameras; the world is the reference camera's frame.
 
     Raises:
         FileNotFoundError: if a file is missing.
@@ -97,10 +98,11 @@ def read_views(config: EstimateConfig) -> list[View]:
     """
     if (config.second is None) != (config.relative_pose is None):
         raise InputError("second and relative_pose go together: give both, or neither for one view")
-    if (config.method == "rgbd") != (config.depth is not None):
+    if find_method(config.method).needs_depth != (config.depth is not None):
+        needing = " or ".join(m.name for m in METHOD_TABLE.values() if m.needs_depth)
         raise InputError(
-            "depth and the method rgbd go together: rgbd needs a depth map of the reference "
-            f"photograph, and no other method looks at one (method is {config.method})"
+            f"depth and the method {needing} go together: it needs a depth map of the reference "
+            f"image, and no other method uses one (method is {config.method})"
         )
     K = parse_intrinsics(config.K)
     depth = None if config.depth is None else read_depth_map(config.depth, config.depth_unit)
@@ -110,7 +112,7 @@ def read_views(config: EstimateConfig) -> list[View]:
         if image.shape != views[0].image.shape:
             sizes = [f"{a.shape[1]}x{a.shape[0]}" for a in (views[0].image, image)]
             raise InputError(
-                "reference and second must be of one size, since K holds for both: "
+                "reference and second must have the same size, since K is that of both: "
                 f"reference is {sizes[0]}, second is {sizes[1]}"
             )
         T = read_matrix(config.relative_pose, "relative_pose", ("T_second_reference",))
@@ -119,18 +121,18 @@ def read_views(config: EstimateConfig) -> list[View]:
     if not (0 <= K[0, 2] < width and 0 <= K[1, 2] < height):
         raise InputError(
             f"K has its principal point at ({K[0, 2]:g}, {K[1, 2]:g}), outside the {width}x{height}"
-            " photographs; was it made for another size?"
+            " images; is it for another size?"
         )
     return views
 
 
 def describe(answer: PoseEstimate, config: EstimateConfig) -> dict[str, Any]:
-    """What ``--out`` holds, in plain values."""
+    """Returns the content of ``--out``."""
     deviation = np.sqrt(np.trace(answer.keypoint_covariance, axis1=1, axis2=2))
     return {
         "object": config.object,
         "method": config.method,
-        "T_cam_obj": answer.T_cam_obj.tolist(),
+        "T_cam_obj": [[round(x, 9) for x in row] for row in answer.T_cam_obj.tolist()],
         "keypoints_m": answer.keypoints.tolist(),
         "keypoint_deviation_m": deviation.tolist(),
         "regions": [
@@ -141,7 +143,7 @@ def describe(answer: PoseEstimate, config: EstimateConfig) -> dict[str, Any]:
 
 
 def estimate_files(config: EstimateConfig) -> None:
-    """Estimates, prints and writes the pose, and draws it over the photographs.
+    """Estimates, prints and writes the pose, and draws it into the images.
 
     Raises:
         FileNotFoundError: if a file is missing.
@@ -149,7 +151,7 @@ def estimate_files(config: EstimateConfig) -> None:
     """
     check_device(config.device)
     views = read_views(config)
-    # After the inputs are known to be good: this imports torch.
+    # Only with valid inputs: this imports torch.
     from ..visualization import ESTIMATE_COLOR, draw_poses
     from .loading import load
 
@@ -159,22 +161,17 @@ def estimate_files(config: EstimateConfig) -> None:
     seconds = perf_counter() - started
 
     found = describe(answer, config)
-    found["T_cam_obj"] = [[round(x, 9) for x in row] for row in found["T_cam_obj"]]
     write_atomically(config.out, (json.dumps(found, indent=1) + "\n").encode())
     x, y, z = answer.T_cam_obj[:3, 3]
     print(f"{config.object} at x {x:+.4f}, y {y:+.4f}, z {z:+.4f} m in the reference camera")
-    print(
-        f"keypoints uncertain by {1e3 * np.mean(found['keypoint_deviation_m']):.1f} mm on average"
-    )
+    deviation = 1e3 * np.mean(found["keypoint_deviation_m"])
+    print(f"keypoint uncertainty: {deviation:.1f} mm on average")
     print(f"pose: {config.out}")
     if config.overlay is not None:
         model = estimator.networks.objects[config.object]
-        images = [
-            draw_poses(
-                view.image, model, {ESTIMATE_COLOR: view.T_cam_world @ answer.T_cam_obj}, view.K
-            )
-            for view in views
-        ]
+        poses = [{ESTIMATE_COLOR: view.T_cam_world @ answer.T_cam_obj} for view in views]
+        pairs = zip(views, poses, strict=True)
+        images = [draw_poses(view.image, model, pose, view.K) for view, pose in pairs]
         config.overlay.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(np.hstack(images)).save(config.overlay)
         print(f"overlay: {config.overlay}")

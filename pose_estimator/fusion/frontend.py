@@ -1,4 +1,4 @@
-"""From a full frame to 2D keypoints: detect, crop, features, votes. All methods begin here."""
+"""From full frames to voted 2D keypoints: detection, crops, features, votes."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from .joint_detection import associate_detections, refine_roi_scales
 from .lru_cache import LruCache
 
 _MIN_CACHED_VIEWS = 4
-"""Views that are remembered at least."""
+"""Smallest size of the caches."""
 
 _ROLLS = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5)
-"""Rotations in radians of the crops that are tried where the upright one is not confident."""
+"""Rotations in radians of the crops that are tried if the upright one is not confident."""
 
 _CONFIDENT_SCORE = 0.85
-"""Share of agreeing votes from which on an upright crop is taken as it is."""
+"""Mean vote score at which no rotated crops are tried."""
 
 _MIN_SCORE_GAIN = 0.03
-"""How much higher the score of a rotated crop must be to be taken instead."""
+"""Smallest gain in score for which a rotated crop is used."""
 
 _LOG_SCALE_TOLERANCE = 0.08
-"""Logarithm of the ratio of two regions' sides up to which no new crop is made."""
+"""Smaller changes of a region's log side need no new crop."""
 
 _MIN_MERGED_VARIANCE = 0.3
-"""Variance in grid pixels that several crops' votes are given at least when they are averaged."""
+"""Added to the variance of votes that are averaged, square grid pixels."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EncodedView(EncodedCrop):
-    """One view of one object after the 2D part.
+    """An object in a view, encoded by the 2D networks.
 
     Attributes:
-        view: the image and its camera.
-        roi: where the object was found.
-        K_grid: (3, 3) camera whose pixels are those of the feature grid.
+        view: image and camera.
+        roi: the detected region.
+        K_grid: (3, 3) camera matrix of the feature grid.
         to_image: (3, 3) affine map from the feature grid to pixels of the image.
         roll: rotation of the crop in the image plane, radians.
     """
@@ -67,10 +67,10 @@ class EncodedView(EncodedCrop):
 
 
 class DetectorMaps(NamedTuple):
-    """The detector's answer for one frame.
+    """The detector's output for a frame.
 
     Attributes:
-        logits: (N, 30, 40) of each object's heat map.
+        logits: of each object's heat map, (N, 30, 40).
         regression: (N, 3, 30, 40), see ``Detector.forward``.
         to_image: (3, 3), from the detector's input to pixels of the image.
     """
@@ -85,8 +85,8 @@ class Target(NamedTuple):
 
     Attributes:
         view: image and camera.
-        obj: which object, in the networks' order.
-        roi: where it is; None: where the detector says.
+        obj: index of the object in the networks.
+        roi: its region; None: detect it.
     """
 
     view: View
@@ -95,12 +95,7 @@ class Target(NamedTuple):
 
 
 class Frontend:
-    """Runs the 2D networks; remembers the views used last, so that a reference is encoded once.
-
-    Args:
-        networks: in evaluation mode.
-        inference: runs them; None: with as many threads as there are cores.
-    """
+    """Runs the 2D networks, and caches the last views, so that a reference is encoded once."""
 
     def __init__(self, networks: PoseNetworks, inference: Inference | None = None) -> None:
         self.networks = networks
@@ -109,17 +104,16 @@ class Frontend:
         self._inference = Inference(networks) if inference is None else inference
 
     def encode(self, targets: Sequence[Target]) -> list[EncodedView]:
-        """Finds objects in views and votes for their keypoints.
+        """Detects objects in views and votes for their keypoints.
 
-        The network is trained on cameras that are held about level. Where its votes do not agree,
-        the crop is rotated, and the rotation with the highest score is taken (test-time
-        augmentation).
+        The network is trained on nearly level cameras. If its votes do not agree, the crop is
+        rotated and the rotation of the highest score is used (test-time augmentation).
         """
-        self._remember(len(targets))
+        self._grow_caches(len(targets))
         found: list[EncodedView | None] = [
             self.encoded.get(t.view, t.obj) if t.roi is None else None for t in targets
         ]
-        # A view that is asked for twice, as a reference of several pairs, is encoded once.
+        # A view that occurs twice, as the reference of several pairs, is encoded once.
         missing: dict[tuple[int, int, int], list[int]] = {}
         for number, target in enumerate(targets):
             if found[number] is None:
@@ -127,9 +121,14 @@ class Frontend:
                 missing.setdefault((id(target.view), target.obj, known), []).append(number)
         first = [targets[numbers[0]] for numbers in missing.values()]
         maps = iter(self.detector_maps([t.view for t in first if t.roi is None]))
-        located = [
-            t if t.roi is not None else t._replace(roi=self._best(next(maps), t.obj)) for t in first
-        ]
+        config = self.networks.detector.config
+        located = []
+        for target in first:
+            if target.roi is None:
+                logits, regression, to_image = next(maps)
+                roi = decode(logits[target.obj], regression[target.obj], to_image, config)
+                target = target._replace(roi=roi)
+            located.append(target)
         upright = self._best_rolls(located)
         for numbers, encoded in zip(missing.values(), upright, strict=True):
             for number in numbers:
@@ -140,25 +139,21 @@ class Frontend:
         return [encoded for encoded in found if encoded is not None]
 
     def regions(self, requests: Sequence[tuple[Sequence[View], int]]) -> list[list[Roi | None]]:
-        """Where objects are in several full frames each, found together.
+        """Detects an object in several views jointly.
 
         Args:
-            requests: views, the reference first, whose cameras are known; and which object, in the
-                networks' order.
+            requests: views, the reference first, and the object's index in the networks.
 
         Returns:
-            For each request a region for each view; None where it is about the one that the
-            detector finds there alone.
+            For each request a region for each view; None where the view's own detection agrees.
         """
         every = [view for views, _ in requests for view in views]
-        self._remember(len(every))
+        self._grow_caches(len(every))
         maps = iter(self.detector_maps(every))
-        return [
-            self._regions(views, index, [next(maps) for _ in views]) for views, index in requests
-        ]
+        return [self._regions(vs, index, [next(maps) for _ in vs]) for vs, index in requests]
 
     def detector_maps(self, views: Sequence[View]) -> list[DetectorMaps]:
-        """What the detector says of all objects in full frames; the last few are remembered."""
+        """Returns the detector's output for full frames; the last few are cached."""
         known = {id(view): self.detected.get(view) for view in views}
         new = list({id(view): view for view in views if known[id(view)] is None}.values())
         inputs = [detector_input(view.image, self.networks.detector.config) for view in new]
@@ -171,12 +166,7 @@ class Frontend:
     def encode_rotated(
         self, targets: Sequence[Target], rolls: Sequence[Sequence[float]]
     ) -> list[list[EncodedView]]:
-        """Votes in several crops of each region.
-
-        Args:
-            targets: with their regions.
-            rolls: of each target: how far its crops are rotated in the image plane, radians.
-        """
+        """Votes in several crops of each target's region, rotated by ``rolls`` (radians)."""
         config = self.networks.features.config
         matrices = []
         for target, own in zip(targets, rolls, strict=True):
@@ -193,16 +183,9 @@ class Frontend:
             for target, own, to_crops, encoded in zip(targets, rolls, matrices, found, strict=True)
         ]
 
-    def _remember(self, views: int) -> None:
-        """Makes room for what one call asks for."""
+    def _grow_caches(self, views: int) -> None:
         for cache in (self.encoded, self.detected):
             cache.maxsize = max(cache.maxsize, 2 * views)
-
-    def _best(self, maps: DetectorMaps, index: int) -> Roi:
-        """The region of an object in one frame."""
-        return decode(
-            maps.logits[index], maps.regression[index], maps.to_image, self.networks.detector.config
-        )
 
     def _regions(
         self, views: Sequence[View], index: int, maps: Sequence[DetectorMaps]
@@ -222,11 +205,11 @@ class Frontend:
         ]
 
     def _best_rolls(self, targets: Sequence[Target]) -> list[EncodedView]:
-        """Encodes regions upright, and rotated where that makes the votes agree more."""
+        """Encodes regions upright, or rotated where that gives a higher score."""
         encoded = [only for [only] in self.encode_rotated(targets, [(0.0,)] * len(targets))]
-        doubtful = [n for n, e in enumerate(encoded) if e.vote_score.mean() < _CONFIDENT_SCORE]
-        tried = self.encode_rotated([targets[n] for n in doubtful], [_ROLLS] * len(doubtful))
-        for n, rotated in zip(doubtful, tried, strict=True):
+        uncertain = [n for n, e in enumerate(encoded) if e.vote_score.mean() < _CONFIDENT_SCORE]
+        tried = self.encode_rotated([targets[n] for n in uncertain], [_ROLLS] * len(uncertain))
+        for n, rotated in zip(uncertain, tried, strict=True):
             best = max(rotated, key=lambda e: float(e.vote_score.mean()))
             if best.vote_score.mean() > encoded[n].vote_score.mean() + _MIN_SCORE_GAIN:
                 encoded[n] = best
@@ -250,17 +233,17 @@ class Frontend:
 def merge_votes(
     view: EncodedView, others: Sequence[EncodedView], permutations: np.ndarray
 ) -> EncodedView:
-    """Averages the votes of several crops of one image, each keypoint by its covariances.
+    """Averages the votes of several crops of one image, weighted by their covariances.
 
     Args:
         view: the crop whose grid and features the result keeps.
         others: further crops of the same image.
-        permutations: (P, 9) the numberings that the object's symmetries allow; each of ``others``
-            takes the one that is nearest to ``view``.
+        permutations: (P, 9) of the object's symmetries; for each of ``others`` the one nearest to
+            ``view`` is used.
 
     Returns:
-        ``view`` with the votes of all. Their errors are those of one network on one image, not
-        independent ones, so the covariance is that of one crop.
+        ``view`` with the averaged votes. Errors of one network on one image are not independent,
+        so the covariance is that of a single crop.
     """
     means, covariances = [view.vote_mean], [view.vote_covariance]
     for other in others:

@@ -14,9 +14,9 @@ from ...core.geometry import View, crop_matrix, invert, project, transform
 from ...core.image_crop import warp_crop
 from ...core.plotting import INK, new_figure, save
 from ..evaluation.metrics import nearest_symmetric_pose
+from ..methods import METHOD_TABLE
 from ..types import PoseEstimate
 from ..visualization import ESTIMATE_COLOR, TRUE_COLOR, draw_poses
-from .figures import COLORS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,19 +67,18 @@ def draw_example(example: Example, path: Path) -> Path:
     _legend(axes[1, 0])
     crop, K, T_true = example.crop(example.reference)
     for column, method in enumerate(methods, start=1):
-        answer = example.answers[method]
+        answer, color = example.answers[method], METHOD_TABLE[method].color
         T_near = nearest_symmetric_pose(answer.T_cam_obj, T_true, example.model)
         truth = transform(T_near, example.model.keypoints)
         error = np.linalg.norm(answer.keypoints - truth, axis=1).mean()
         axes[0, column].set_title(
-            f"{method}: {1000 * error:.1f} mm", fontsize=11, color=COLORS[method],
-            fontweight="bold",
-        )  # fmt: skip
-        _keypoints_in_image(axes[0, column], crop, K, truth, answer.keypoints, COLORS[method])
+            f"{method}: {1000 * error:.1f} mm", fontsize=11, color=color, fontweight="bold"
+        )
+        _keypoints_in_image(axes[0, column], crop, K, truth, answer.keypoints, color)
         place = axes[1, column].get_subplotspec()
         axes[1, column].remove()
         solid = figure.add_subplot(place, projection="3d")
-        _keypoints_in_space(solid, truth, answer.keypoints, example.model, COLORS[method])
+        _keypoints_in_space(solid, truth, answer.keypoints, example.model, color)
         drawn = draw_poses(
             crop, example.model, {TRUE_COLOR: T_true, ESTIMATE_COLOR: answer.T_cam_obj}, K
         )

@@ -46,7 +46,7 @@ class PerfectVotes:
         self.rng = np.random.default_rng(0)
         self.noise = noise
         self.calls = 0
-        self.told: list[Roi | None] = []
+        self.rois: list[Roi | None] = []
 
     def regions(self, requests) -> list[list[Roi | None]]:
         return [[None] * len(views) for views, _ in requests]
@@ -58,7 +58,7 @@ class PerfectVotes:
         model = list(self.networks.objects.values())[index]
         symmetry = self.twist[self.calls % len(self.twist)] if self.twist else 0
         self.calls += 1
-        self.told.append(roi)
+        self.rois.append(roi)
         T = view.T_cam_world @ T_WORLD_OBJ @ model.symmetries[symmetry]
         config = self.networks.features.config
         side = 1.4 * model.diameter * view.K[0, 0] / T[2, 3]
@@ -80,8 +80,8 @@ class PerfectVotes:
             mask=np.ones((config.grid, config.grid)),
         )
 
-    def encode_rotated(self, targets, turns) -> list[list[EncodedView]]:
-        return [[self.encode_view(*t)] * len(own) for t, own in zip(targets, turns, strict=True)]
+    def encode_rotated(self, targets, rolls) -> list[list[EncodedView]]:
+        return [[self.encode_view(*t)] * len(own) for t, own in zip(targets, rolls, strict=True)]
 
 
 class Garbage(PerfectVotes):

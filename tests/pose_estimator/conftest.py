@@ -1,4 +1,4 @@
-"""Two small boxes, networks for them, and a BOP dataset of flat pictures with known poses."""
+"""Two small boxes, networks for them, and a BOP dataset of flat images with known poses."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def networks(boxes: dict[str, ObjectModel]) -> PoseNetworks:
 
 @pytest.fixture(scope="session")
 def dataset(tmp_path_factory: pytest.TempPathFactory, boxes: dict[str, ObjectModel]) -> Path:
-    """Three scenes of three pictures each, with the pairs (0, 1) and (0, 2) of each scene."""
+    """Three scenes of three images each, with the pairs (0, 1) and (0, 2) of each scene."""
     root = tmp_path_factory.mktemp("boxes")
     rng = np.random.default_rng(0)
     pairs = []

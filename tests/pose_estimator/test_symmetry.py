@@ -1,4 +1,4 @@
-"""Equivalent poses get one label, and votes for another equivalent are told apart."""
+"""Equivalent poses get one label, and symmetries permute keypoints."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,7 +24,7 @@ def test_all_equivalent_poses_have_one_canonical_pose(boxes):
             assert np.allclose(canonical_pose(T @ S, symmetries), expected)
 
 
-def test_a_turn_about_the_viewing_axis_does_not_change_the_label(boxes):
+def test_a_rotation_about_the_viewing_axis_does_not_change_the_label(boxes):
     symmetries = boxes["crate"].symmetries
     rng = np.random.default_rng(1)
     for _ in range(20):
@@ -56,7 +56,7 @@ def test_a_symmetry_that_the_keypoints_do_not_share_is_left_out(boxes):
     assert len(keypoint_permutations(keypoints, model.symmetries)) == 1
 
 
-def test_the_symmetric_objects_of_linemod_can_be_renumbered():
+def test_the_symmetric_objects_of_linemod_have_permutations():
     for name in ("eggbox", "glue"):
         model = assets.load_object(name)
         permutations = keypoint_permutations(model.keypoints, model.symmetries)

@@ -61,16 +61,16 @@ def test_nothing_behind_the_camera(box, T_cam_obj):
 
 
 @pytest.mark.parametrize("depth", [0.0, 0.02, 0.05, 400.0])
-def test_odd_places_do_no_harm(box, T_cam_obj, depth):
+def test_extreme_positions_are_drawn(box, T_cam_obj, depth):
     T_cam_obj[:3, 3] = (30.0 * (depth > 1), 0.0, depth)
-    picture = np.zeros((*SHAPE, 3), np.uint8)
-    assert draw_poses(picture, box, {(255, 0, 0): T_cam_obj}, LINEMOD_K).shape == picture.shape
+    image = np.zeros((*SHAPE, 3), np.uint8)
+    assert draw_poses(image, box, {(255, 0, 0): T_cam_obj}, LINEMOD_K).shape == image.shape
 
 
-def test_drawing_leaves_the_picture_alone(box, T_cam_obj):
-    picture = np.full((*SHAPE, 3), 9, np.uint8)
-    drawn = draw_poses(picture, box, {(250, 120, 20): T_cam_obj}, LINEMOD_K)
-    assert (picture == 9).all()
+def test_drawing_does_not_change_its_input(box, T_cam_obj):
+    image = np.full((*SHAPE, 3), 9, np.uint8)
+    drawn = draw_poses(image, box, {(250, 120, 20): T_cam_obj}, LINEMOD_K)
+    assert (image == 9).all()
     (contour,) = outline(box, T_cam_obj, LINEMOD_K, SHAPE)
     u, v = np.round(contour).astype(int).T
     np.testing.assert_allclose(drawn[v, u].mean(axis=0), (250, 120, 20), atol=40)

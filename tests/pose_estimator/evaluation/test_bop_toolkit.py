@@ -1,7 +1,6 @@
-"""What we read, write and measure is what BOP's own toolkit does.
+"""Reading, writing and metrics against the stored outputs of bop_toolkit.
 
-The toolkit's answers about a small dataset are kept beside the dataset, since it is no part of this
-project: ``compare_with_bop_toolkit.py`` asks it anew.
+``helpers/compare_with_bop_toolkit.py`` runs the toolkit again.
 """
 
 from __future__ import annotations

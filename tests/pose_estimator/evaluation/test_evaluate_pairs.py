@@ -29,14 +29,14 @@ def opened(dataset: Path) -> BopDataset:
 
 @pytest.fixture(scope="module")
 def dataset_with_depth(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The dataset with a depth map for each picture, no two alike."""
+    """The dataset with a depth map for each image, no two alike."""
     root = tmp_path_factory.mktemp("depth") / "boxes"
     shutil.copytree(dataset, root, ignore=shutil.ignore_patterns("packed*"))
-    for number, picture in enumerate(sorted(root.glob("train_pbr/*/rgb/*"))):
-        folder = picture.parent.parent / "depth"
+    for number, image in enumerate(sorted(root.glob("train_pbr/*/rgb/*"))):
+        folder = image.parent.parent / "depth"
         folder.mkdir(exist_ok=True)
         steps = np.full((480, 640), 1000 + number, np.uint16)
-        cv2.imwrite(str(folder / f"{picture.stem}.png"), steps)
+        cv2.imwrite(str(folder / f"{image.stem}.png"), steps)
     return root
 
 
@@ -60,7 +60,7 @@ def test_the_truth_has_recall_one(opened, dataset, boxes):
     assert only_record(records, "add_s_recall", object="mean")["value"] == 1.0
 
 
-def test_garbage_has_recall_none(opened, dataset, boxes):
+def test_wrong_poses_have_recall_zero(opened, dataset, boxes):
     far = make_transform(np.eye(3), np.array([0.0, 0.0, 0.3]))
     outcomes = evaluate_pairs(
         Oracle(opened, boxes, far), opened, read_pairs(dataset), boxes, progress=False
@@ -86,7 +86,7 @@ def test_the_threshold_is_a_tenth_of_the_diameter(opened, dataset, boxes, share,
     assert only_record(summarize(outcomes, {}), "add_s_recall", object="brick")["value"] == recall
 
 
-def test_half_a_turn_is_right_for_the_symmetric_object_only(opened, dataset, boxes):
+def test_a_half_turn_is_right_for_the_symmetric_object_only(opened, dataset, boxes):
     turn = make_transform(Rotation.from_euler("z", 180, degrees=True).as_matrix(), np.zeros(3))
     outcomes = evaluate_pairs(
         Oracle(opened, boxes, turn), opened, read_pairs(dataset), boxes, progress=False
@@ -102,7 +102,7 @@ def test_half_a_turn_is_right_for_the_symmetric_object_only(opened, dataset, box
             assert o.error == pytest.approx(add) and o.error > 0.1
 
 
-def test_pairs_are_taken_both_ways(opened, dataset, boxes):
+def test_swapped_pairs_are_evaluated(opened, dataset, boxes):
     pairs = read_pairs(dataset)
     oracle = Oracle(opened, boxes)  # checks the relative pose that it is given
     back = [turned_round(pair) for pair in pairs]

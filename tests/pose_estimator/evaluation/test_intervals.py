@@ -21,14 +21,14 @@ def test_the_interval_is_that_of_independent_sequences():
     assert estimate.value - estimate.low == pytest.approx(half, rel=0.1)
 
 
-def test_repeated_frames_of_a_sequence_tell_nothing_new():
+def test_repeated_frames_do_not_narrow_the_interval():
     rng = np.random.default_rng(2)
     means = rng.normal(size=60)
     once = clustered_mean(means, range(60))
     often = clustered_mean(np.repeat(means, 9), np.repeat(range(60), 9))
     frames = clustered_mean(np.repeat(means, 9), range(540))
     assert often.high - often.low == pytest.approx(once.high - once.low, rel=0.1)
-    # Taken for independent, the frames would pretend to be three times as sure.
+    # Taken for independent, the frames would pretend to be three times as certain.
     assert frames.high - frames.low == pytest.approx((once.high - once.low) / 3, rel=0.15)
 
 
@@ -40,12 +40,12 @@ def test_sequences_are_drawn_among_those_that_show_the_same():
 
 
 def test_sequences_that_share_some_objects_are_drawn_together():
-    # Whole heaps of a, b and c, of which one is missing here and there: each heap is of one luck.
+    # Scenes of a, b and c, each with one error; some lack an object.
     rng = np.random.default_rng(5)
-    rows = [(luck, heap, name) for heap, luck in enumerate(rng.normal(size=40))
-            for name in "abc" if (heap, name) not in {(3, "a"), (8, "b"), (9, "c")}]  # fmt: skip
-    values, heaps, names = zip(*rows, strict=True)
-    estimate = clustered_mean(values, heaps, names)
+    rows = [(luck, scene, name) for scene, luck in enumerate(rng.normal(size=40))
+            for name in "abc" if (scene, name) not in {(3, "a"), (8, "b"), (9, "c")}]  # fmt: skip
+    values, scenes, names = zip(*rows, strict=True)
+    estimate = clustered_mean(values, scenes, names)
     half = 1.96 * np.std(values) / np.sqrt(40)
     assert (estimate.high - estimate.low) / 2 == pytest.approx(half, rel=0.15)
 
@@ -57,7 +57,7 @@ def test_one_value_has_no_interval():
     assert clustered_mean([0.3, 0.4, 0.5], [0, 1, 2], ["a", "a", "b"]).low is None
 
 
-def test_of_a_lonely_sequence_the_frames_are_drawn():
+def test_a_single_sequence_is_resampled_by_frames():
     values = [0.0, 1.0] * 50
     estimate = clustered_mean(values, [7] * 100, ["a"] * 100)
     half = 1.96 * 0.5 / np.sqrt(100)
@@ -85,8 +85,8 @@ def test_the_same_seed_gives_the_same_interval():
     [
         (([], []), "non-empty"),
         (([1.0, np.nan], [0, 1]), "finite"),
-        (([1.0, 2.0], [0]), "equally many"),
-        (([1.0, 2.0], [0, 1], ["a"]), "equally many"),
+        (([1.0, 2.0], [0]), "same length"),
+        (([1.0, 2.0], [0, 1], ["a"]), "same length"),
     ],
 )
 def test_wrong_lists_are_refused(arguments, message):
@@ -116,7 +116,7 @@ def test_every_group_of_independent_values_counts_the_same():
 def test_long_lists_are_drawn_as_short_ones_are(monkeypatch):
     values = np.random.default_rng(8).normal(size=30)
     whole = bootstrap_interval([values], np.random.default_rng(9))
-    monkeypatch.setattr("two_view_pose.pose_estimator.evaluation.intervals._MAX_DRAWS", 1000)
+    monkeypatch.setattr("two_view_pose.pose_estimator.evaluation.intervals.MAX_DRAWS", 1000)
     assert bootstrap_interval([values], np.random.default_rng(9)) == whole
 
 

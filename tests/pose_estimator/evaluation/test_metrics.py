@@ -58,7 +58,7 @@ def test_add_and_add_s_are_their_definitions():
         assert metrics.add_s(T_est, T_true, points) == pytest.approx(pairs.min(axis=1).mean())
 
 
-def test_a_symmetric_object_may_be_turned():
+def test_add_s_of_a_symmetric_object_ignores_a_half_turn():
     rng = np.random.default_rng(3)
     T_true = some_pose(rng)
     T_est = T_true @ half_turn()

@@ -1,4 +1,4 @@
-"""The index of ADD-S answers what an exhaustive search in double precision answers."""
+"""The index of ADD-S against an exhaustive search in double precision."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def shell(rng, count=400, radius=0.08):
     return radius * points / np.linalg.norm(points, axis=1, keepdims=True) + (0.02, -0.01, 0.3)
 
 
-def test_equal_to_the_way_of_the_bop_toolkit():
+def test_equal_to_bop_toolkit():
     rng = np.random.default_rng(0)
     points = shell(rng, 2000)
     index = NearestPoints(points)

@@ -1,4 +1,4 @@
-"""Results that summarize outcomes, against numbers worked out by hand."""
+"""Results that summarize outcomes, against hand-computed values."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Scoring somebody's poses: the truth is all right, and what is missing is wrong."""
+"""Scoring BOP result files: the truth is all correct, and missing estimates are wrong."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ def truth_of(root: Path, T_error: np.ndarray | None = None) -> list[BopResult]:
 
 
 def scored(root: Path, results: list[BopResult], *options: str) -> dict[tuple[str, str], float]:
-    path, figures = root.parent / "mine_solids-test.csv", root.parent / "figures.json"
+    path, values = root.parent / "mine_solids-test.csv", root.parent / "values.json"
     write_bop_results(path, results)
-    command = ["evaluate", "--data", str(root), "--score", str(path), "--json", str(figures)]
+    command = ["evaluate", "--data", str(root), "--score", str(path), "--json", str(values)]
     assert main([*command, *options]) == 0
-    records = read_results(figures)["records"]
+    records = read_results(values)["records"]
     assert all(r["method"] == "mine" and r["dataset"] == "solids" for r in records)
     return {(r["metric"], r["object"]): r["value"] for r in records}
 
@@ -78,12 +78,12 @@ def errors(results: list[BopResult], instances: list[BopAnnotation], count: int)
 
 
 def test_the_truth_scores_exactly_one_hundred_percent(root, capsys):
-    figures = scored(root, truth_of(root))
-    recalls = {name: value for (metric, name), value in figures.items() if metric == "add_s_recall"}
+    values = scored(root, truth_of(root))
+    recalls = {name: value for (metric, name), value in values.items() if metric == "add_s_recall"}
     assert recalls == dict.fromkeys(["bracket", "stairs", "crate", "mean"], 1.0)
-    assert max(v for (metric, _), v in figures.items() if metric == "add_over_diameter") < 1e-9
-    # A file of poses says nothing of keypoints.
-    assert {metric for metric, _ in figures} == {"add_s_recall", "add_over_diameter"}
+    assert max(v for (metric, _), v in values.items() if metric == "add_over_diameter") < 1e-9
+    # A result file has no keypoints.
+    assert {metric for metric, _ in values} == {"add_s_recall", "add_over_diameter"}
     printed = capsys.readouterr().out
     assert "0 targets have no estimate" in printed and "100.0 %" in printed
     assert "targets" in printed and "keypoints" not in printed
@@ -101,10 +101,10 @@ def test_what_is_missing_is_wrong_and_what_is_extra_does_not_count(root, capsys)
             ]
         )
     )
-    figures = scored(root, results)
+    values = scored(root, results)
     share = sum(t.scene_id == 0 for t in bracket) / len(bracket)
-    assert figures[("add_s_recall", "bracket")] == share == figures[("add_s_recall", "mean")]
-    assert figures[("add_over_diameter", "mean")] == pytest.approx(1 - share)
+    assert values[("add_s_recall", "bracket")] == share == values[("add_s_recall", "mean")]
+    assert values[("add_over_diameter", "mean")] == pytest.approx(1 - share)
     printed = capsys.readouterr().out
     assert f"{sum(t.scene_id == 3 for t in bracket)} targets have no estimate" in printed
     assert f"{sum(r.obj_id != 1 for r in results)} estimates are of no target" in printed
@@ -115,18 +115,18 @@ def test_the_threshold_is_a_tenth_of_the_datasets_diameter(root, share, recall):
     shift = make_transform(
         np.eye(3), np.array([0, share * solid_scenes.solid("stairs").diameter, 0])
     )
-    figures = scored(root, truth_of(root, shift))
-    assert figures[("add_over_diameter", "stairs")] == pytest.approx(share, rel=1e-6)
-    assert figures[("add_s_recall", "stairs")] == recall
+    values = scored(root, truth_of(root, shift))
+    assert values[("add_over_diameter", "stairs")] == pytest.approx(share, rel=1e-6)
+    assert values[("add_s_recall", "stairs")] == recall
 
 
 def test_a_half_turn_is_right_for_the_symmetric_object_only(root):
-    figures = scored(root, truth_of(root, np.diag([-1.0, -1, 1, 1])))
-    assert figures[("add_s_recall", "crate")] == 1.0
-    assert figures[("add_s_recall", "stairs")] == 0.0
+    values = scored(root, truth_of(root, np.diag([-1.0, -1, 1, 1])))
+    assert values[("add_s_recall", "crate")] == 1.0
+    assert values[("add_s_recall", "stairs")] == 0.0
 
 
-def test_without_a_list_of_targets_what_can_be_seen_is_to_be_found(root):
+def test_without_a_list_every_visible_object_is_a_target(root):
     dataset = read_dataset(root)
     listed = read_targets(dataset)
     (root / "test_targets_bop19.json").unlink()
@@ -139,7 +139,7 @@ def test_the_best_scores_count_as_often_as_there_are_instances():
     assert errors([guess(0.0, 0.1), guess(0.3, 0.9)], one, 1) == pytest.approx([0.3])
     two = [at(0.0), at(0.5)]
     assert errors([guess(0.51, 0.2), guess(0.02, 0.1)], two, 2) == pytest.approx([0.02, 0.01])
-    # Both are nearest to the same instance; the surer one may have it.
+    # Both are nearest to the same instance; the one of higher score gets it.
     assert errors([guess(0.01, 0.1), guess(0.0, 0.9)], two, 2) == pytest.approx([0.0, 0.49])
     # A wrong pose of high score does not take an instance from a right one.
     assert errors([guess(0.1, 0.9), guess(0.0, 0.1)], two, 2) == pytest.approx([0.0, 0.4])

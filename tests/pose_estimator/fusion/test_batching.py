@@ -18,17 +18,17 @@ class Together(OneByOne):
         return ["together", requests, *rois]  # type: ignore[list-item]
 
 
-def test_who_answers_no_batches_is_asked_one_by_one():
+def test_estimators_without_estimate_batch_get_one_request_at_a_time():
     assert estimate_all(OneByOne(), REQUESTS) == REQUESTS
-    told = estimate_all(OneByOne(), REQUESTS, ROIS)
-    assert told == [(*request, rois) for request, rois in zip(REQUESTS, ROIS, strict=True)]
+    found = estimate_all(OneByOne(), REQUESTS, ROIS)
+    assert found == [(*request, rois) for request, rois in zip(REQUESTS, ROIS, strict=True)]
     assert batch_size(OneByOne()) == 1
 
 
-def test_who_answers_batches_is_asked_once():
+def test_estimators_with_estimate_batch_are_called_once():
     assert estimate_all(Together(), REQUESTS) == ["together", REQUESTS]
     assert estimate_all(Together(), REQUESTS, ROIS) == ["together", REQUESTS, ROIS]
     assert batch_size(Together()) == 8
-    told = Together()
-    told.batch_size = 5  # type: ignore[attr-defined]
-    assert batch_size(told) == 5
+    found = Together()
+    found.batch_size = 5  # type: ignore[attr-defined]
+    assert batch_size(found) == 5

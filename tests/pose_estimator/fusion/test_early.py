@@ -48,7 +48,7 @@ def test_perfect_votes_and_depth_give_the_pose(networks, name):
     assert (short[hidden] < 2 * deviation[hidden] + 0.01).all()
 
 
-def test_the_cascade_is_told_the_cameras_and_where_the_object_is(networks):
+def test_the_cascade_gets_the_cameras_and_the_depth_of_the_object(networks):
     estimator = early(networks, PerfectVotes(networks))
     estimator.estimate([view(20), view(65), view(-10)], "brick")
     model = networks.objects["brick"]
@@ -65,7 +65,7 @@ def test_the_cascade_is_told_the_cameras_and_where_the_object_is(networks):
             T = views.T_view_ref[0, number].double().numpy()
             truth = (camera(degrees) @ T_WORLD_OBJ)[:3, 3]
             assert np.allclose(transform(T, center), truth, atol=1e-5)
-            # The first crops are (4, -3) picture pixels off, the second where the pose is.
+            # The first crops are (4, -3) image pixels off, the second where the pose is.
             scale = K[0, 0] / LINEMOD_K[0, 0]
             expected = 63.5 + (round_number == 0) * scale * np.array([-4, 3])
             assert np.allclose(project(truth, K), expected, atol=0.05 if round_number == 0 else 2)
@@ -88,7 +88,7 @@ def test_depth_is_interpolated_between_pixels():
     assert (variance >= 1e-6).all() and (variance < 4e-6).all()
 
 
-def test_beside_the_object_the_nearest_part_of_it_is_read():
+def test_votes_outside_the_mask_read_its_nearest_pixels():
     mask = np.zeros((32, 32))
     mask[10:20, 10:20] = 0.9  # pixels 20 to 39 of the map
     votes = np.tile([[30.0, 30.0]], (9, 1))
@@ -102,7 +102,7 @@ def test_beside_the_object_the_nearest_part_of_it_is_read():
     assert np.sqrt(variance[0]) < 0.002
 
 
-def test_at_an_edge_one_surface_is_taken_and_the_other_is_doubt():
+def test_at_a_depth_edge_the_other_surface_widens_the_variance():
     depth = np.full((64, 64), 0.8)
     depth[:, 32:] = 0.9
     votes = np.tile([[30.8, 30.0]], (9, 1))
@@ -113,7 +113,7 @@ def test_at_an_edge_one_surface_is_taken_and_the_other_is_doubt():
     assert np.allclose(np.sqrt(variance), np.sqrt(0.37) * 0.03, rtol=0.05)
 
 
-def test_no_mask_and_senseless_votes_are_survived():
+def test_an_empty_mask_and_outlier_votes_give_finite_depths():
     rng = np.random.default_rng(0)
     for scale in (1.0, 1e3, 1e6):
         votes = rng.normal(32, scale, (9, 2))
@@ -136,7 +136,7 @@ def test_back_projection_and_its_covariance():
     assert np.allclose(covariance[0], np.cov((z[:, None] * rays).T), rtol=0.08, atol=1e-6)
 
 
-def test_what_lies_behind_the_front(boxes):
+def test_behind_surface_of_a_box(boxes):
     # The brick seen along its z axis: 0.06 m deep, corners in front of each other.
     brick = boxes["brick"]
     T = make_transform(np.eye(3), np.array([0, 0, 20.0]))

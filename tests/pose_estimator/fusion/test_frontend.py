@@ -22,30 +22,30 @@ def frontend(boxes) -> Frontend:
 
 @pytest.fixture(scope="module")
 def dotted() -> View:
-    """A picture with one bright dot, right of and above the middle of the region."""
+    """An image with one bright dot, right of and above the middle of the region."""
     image = np.zeros((480, 640, 3), np.uint8)
     cv2.circle(image, (350, 170), 4, (255, 255, 255), -1)
     return View(image, LINEMOD_K, np.eye(4))
 
 
-def encode_rotated(frontend, view, turns) -> list[EncodedView]:
-    [encoded] = frontend.encode_rotated([Target(view, 0, ROI)], [turns])
+def encode_rotated(frontend, view, rolls) -> list[EncodedView]:
+    [encoded] = frontend.encode_rotated([Target(view, 0, ROI)], [rolls])
     return encoded
 
 
-def test_a_turn_leaves_the_middle_where_it_is():
+def test_rotation_matrix_2d_keeps_the_center():
     A = rotation_matrix_2d(0.3, 128)
     assert np.allclose(A @ (63.5, 63.5, 1), (63.5, 63.5, 1))
     assert np.allclose(A[:2, :2] @ A[:2, :2].T, np.eye(2)) and A[1, 0] > 0
 
 
-def test_each_crop_knows_how_it_was_turned(frontend, dotted, monkeypatch):
+def test_rotated_crops_map_back_to_the_image(frontend, dotted, monkeypatch):
     seen = []
     encoder = frontend.networks.features.encoder
     pyramid = encoder.pyramid
     monkeypatch.setattr(encoder, "pyramid", lambda crops: (seen.append(crops), pyramid(crops))[1])
-    turns = (0.0, -0.2, 0.2)
-    encoded = encode_rotated(frontend, dotted, turns)
+    rolls = (0.0, -0.2, 0.2)
+    encoded = encode_rotated(frontend, dotted, rolls)
     [crops] = seen  # one batch
     places = []
     for crop, view in zip(crops.numpy(), encoded, strict=True):
@@ -61,7 +61,7 @@ def test_each_crop_knows_how_it_was_turned(frontend, dotted, monkeypatch):
     assert np.allclose(alone.to_image, encoded[0].to_image)
 
 
-def test_votes_of_turned_crops_are_averaged_in_the_picture(frontend, dotted):
+def test_votes_of_rotated_crops_are_averaged_in_the_image(frontend, dotted):
     upright, left, right = encode_rotated(frontend, dotted, (0.0, -0.2, 0.2))
     rng = np.random.default_rng(1)
     truth = rng.uniform(280, 360, (9, 2))
@@ -83,7 +83,7 @@ def test_votes_of_turned_crops_are_averaged_in_the_picture(frontend, dotted):
     assert np.allclose(merged.vote_covariance, (0.5 + 0.3) * np.eye(2))
 
 
-def test_a_crop_that_votes_for_the_equivalent_pose_is_renumbered(frontend, dotted):
+def test_merge_votes_permutes_symmetric_votes(frontend, dotted):
     first, second = encode_rotated(frontend, dotted, (0.0, 0.1))
     swapped = np.array([1, 0, *range(2, 9)])
     second = replace(first, vote_mean=first.vote_mean + np.arange(9)[:, None] * 5)
@@ -92,28 +92,28 @@ def test_a_crop_that_votes_for_the_equivalent_pose_is_renumbered(frontend, dotte
     assert np.allclose(merged.vote_mean, second.vote_mean)
 
 
-def test_an_unsure_crop_is_turned_and_the_surest_turn_is_taken(frontend, dotted, monkeypatch):
+def test_an_uncertain_crop_is_rotated_to_the_highest_score(frontend, dotted, monkeypatch):
     """The votes' agreement is made to depend on the roll alone."""
     asked = []
 
     def with_scores(scores):
-        def encode_rotated(self, targets, turns):
-            asked.extend(turns)
+        def encode_rotated(self, targets, rolls):
+            asked.extend(rolls)
             return [
                 [
                     replace(e, vote_score=np.full(9, scores.get(t, 0.3)))
                     for e, t in zip(plain, own, strict=True)
                 ]
-                for plain, own in zip(original(self, targets, turns), turns, strict=True)
+                for plain, own in zip(original(self, targets, rolls), rolls, strict=True)
             ]
 
         return encode_rotated
 
     original = Frontend.encode_rotated
     for scores, roll, calls in (
-        ({0.0: 0.9, 1.0: 0.99}, 0.0, 1),  # sure: no other crop is made
+        ({0.0: 0.9, 1.0: 0.99}, 0.0, 1),  # confident: no other crop is made
         ({0.0: 0.5, -1.0: 0.8, 0.5: 0.7}, -1.0, 2),
-        ({0.0: 0.5, 1.5: 0.51}, 0.0, 2),  # hardly surer: left as it is
+        ({0.0: 0.5, 1.5: 0.51}, 0.0, 2),  # too small a gain: left as it is
     ):
         asked.clear()
         monkeypatch.setattr(Frontend, "encode_rotated", with_scores(scores))

@@ -1,4 +1,4 @@
-"""What every fusion of views must do, with perfect, symmetric and senseless votes."""
+"""What every fusion of views must do, with perfect, symmetric and random votes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def method(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def build(networks: PoseNetworks, method: str) -> Build:
-    """Makes the method's estimator, its networks replaced by ones that believe the votes."""
+    """Makes the method's estimator, its networks replaced by ones that reproduce the votes."""
 
     def make(
         votes: Callable[..., PerfectVotes], name: str = "brick", **options
@@ -61,7 +61,7 @@ def test_perfect_votes_give_the_pose(build, method, more):
 
 
 @pytest.mark.parametrize("twist", [(0, 1), (1, 0), (1, 1), (0, 0)])
-def test_views_that_mean_equivalent_poses_are_reconciled(build, method, twist):
+def test_symmetric_votes_of_the_views_are_made_consistent(build, method, twist):
     estimator = build(PerfectVotes, "crate", twist=twist)
     found = estimator.estimate([view(20), view(65)], "crate")
     check_sound(found, 2)
@@ -71,7 +71,7 @@ def test_views_that_mean_equivalent_poses_are_reconciled(build, method, twist):
     assert np.allclose(found.T_cam_obj, camera(20) @ T_WORLD_OBJ @ symmetry, atol=0.12)
 
 
-def test_one_view_answers_as_single_does(build, networks):
+def test_one_view_is_estimated_as_by_single(build, networks):
     single = SingleViewEstimator(networks)
     single.frontend = PerfectVotes(networks)
     found, expected = (e.estimate([view(20)], "brick") for e in (build(PerfectVotes), single))
@@ -80,7 +80,7 @@ def test_one_view_answers_as_single_does(build, networks):
     assert error(found, networks, "brick", 20) < 1e-3
 
 
-def test_garbage_and_views_from_one_place_are_answered(build):
+def test_random_votes_and_zero_baseline_give_valid_poses(build):
     estimators = {name: build(Garbage, name) for name in ("brick", "crate")}
     for number in range(8):
         name = ("brick", "crate")[number % 2]
@@ -89,7 +89,7 @@ def test_garbage_and_views_from_one_place_are_answered(build):
     check_sound(build(PerfectVotes, noise=1.0).estimate([view(20), view(20)], "brick"), 2)
 
 
-def test_untrained_networks_answer_noise_with_a_sound_pose(networks, method):
+def test_untrained_networks_give_valid_poses_for_noise(networks, method):
     rng = np.random.default_rng(0)
     views = [
         View(rng.integers(0, 256, (480, 640, 3), dtype=np.uint8), LINEMOD_K, camera(20)),

@@ -1,4 +1,4 @@
-"""One place in space for the peaks of several views."""
+"""Association of detections across views."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from two_view_pose.pose_estimator.types import Roi, roi_of_pose
 DIAMETER, SCALE = 0.1, 1.4
 
 
-def misfit(first: Roi, second: Roi, *views) -> float:
+def cost(first: Roi, second: Roi, *views) -> float:
     """Of the best depth along the ray of one region."""
     return float(association_costs([first], [second], *views, DIAMETER, SCALE)[0].min())
 
@@ -26,16 +26,16 @@ def seen(place, degrees: float, score: float) -> Roi:
 
 
 def test_the_other_view_decides_between_two_peaks():
-    """A neighbor is surer than the object in one view, and not seen in the other."""
+    """A distractor scores higher than the object in one view, and not seen in the other."""
     views = [view(20), view(60)]
-    here, neighbor = (0.02, 0.03, 0.0), (-0.15, 0.1, 0.0)
-    first = [seen(neighbor, 20, 0.8), seen(here, 20, 0.4)]
+    here, distractor = (0.02, 0.03, 0.0), (-0.15, 0.1, 0.0)
+    first = [seen(distractor, 20, 0.8), seen(here, 20, 0.4)]
     second = [seen(here, 60, 0.9)]
     assert associate_detections([first, second], views, DIAMETER, SCALE) == [1, 0]
     assert associate_detections([second, first], views[::-1], DIAMETER, SCALE) == [0, 1]
 
 
-def test_sure_peaks_are_taken_where_nothing_agrees():
+def test_the_highest_scores_win_where_nothing_matches():
     views = [view(20), view(60)]
     first = [seen((0.2, 0.0, 0.0), 20, 0.9), seen((0.25, -0.1, 0.0), 20, 0.1)]
     second = [seen((0.0, 0.25, 0.0), 60, 0.8), seen((-0.1, 0.3, 0.0), 60, 0.2)]
@@ -49,25 +49,25 @@ def test_one_view_alone_keeps_its_best_peak():
 
 def test_three_views_agree():
     views = [view(d) for d in (20, 60, 100)]
-    here, neighbor = (0.02, 0.03, 0.0), (-0.15, 0.1, 0.0)
+    here, distractor = (0.02, 0.03, 0.0), (-0.15, 0.1, 0.0)
     candidates = [
-        [seen(neighbor, 20, 0.9), seen(here, 20, 0.3)],
-        [seen(here, 60, 0.6), seen(neighbor, 60, 0.1)],
+        [seen(distractor, 20, 0.9), seen(here, 20, 0.3)],
+        [seen(here, 60, 0.6), seen(distractor, 60, 0.1)],
         [seen((0.2, -0.1, 0), 100, 0.5), seen(here, 100, 0.4)],
     ]
     assert associate_detections(candidates, views, DIAMETER, SCALE) == [1, 0, 1]
 
 
 @pytest.mark.parametrize("degrees", [22, 60, 150])
-def test_misfit_of_one_object_is_small_and_of_two_is_large(degrees):
+def test_cost_of_one_object_is_small_and_of_two_is_large(degrees):
     views = view(20), view(degrees)
     region = seen((0.05, 0, 0), 20, 1)
-    assert misfit(region, seen((0.05, 0, 0), degrees, 1), *views) < 0.1
-    assert misfit(region, seen((-0.1, 0.12, 0), degrees, 1), *views) > 8
+    assert cost(region, seen((0.05, 0, 0), degrees, 1), *views) < 0.1
+    assert cost(region, seen((-0.1, 0.12, 0), degrees, 1), *views) > 8
     # A region of twice the size means an object at half the distance.
     near = seen((0.05, 0, 0), degrees, 1)
     twice = Roi(near.center, 2 * near.side, 1.0)
-    assert misfit(region, twice, *views) > 2
+    assert cost(region, twice, *views) > 2
 
 
 def test_a_camera_that_looks_away_fits_nothing():
@@ -76,7 +76,7 @@ def test_a_camera_that_looks_away_fits_nothing():
         behind.image, behind.K, make_transform(np.diag([-1.0, 1, -1]), np.zeros(3)) @ camera(20)
     )
     region = seen((0.0, 0, 0), 20, 1)
-    assert misfit(region, region, behind, flipped) == 16
+    assert cost(region, region, behind, flipped) == 16
 
 
 def test_sizes_come_from_where_the_rays_meet():
@@ -89,9 +89,9 @@ def test_sizes_come_from_where_the_rays_meet():
     ]
     for number in (2, 3):
         sized = refine_roi_scales(wrong[:number], views[:number], DIAMETER, SCALE)
-        for region, told, right in zip(sized, wrong, true, strict=False):
+        for region, given, right in zip(sized, wrong, true, strict=False):
             assert region.side == pytest.approx(right.side, rel=0.05)
-            assert region.center is told.center and region.score == told.score
+            assert region.center is given.center and region.score == given.score
     assert refine_roi_scales(wrong[:1], views[:1], DIAMETER, SCALE) == wrong[:1]
 
 

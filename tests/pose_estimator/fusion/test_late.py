@@ -1,4 +1,4 @@
-"""``late`` with perfect, symmetric and senseless votes."""
+"""``late`` with perfect, symmetric and random votes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_perfect_votes_give_the_pose(networks, solver, more):
     np.testing.assert_allclose(found.keypoints, truth, atol=1e-5)
 
 
-def test_covariance_says_how_far_keypoints_are_off(networks):
+def test_the_covariance_of_keypoints_is_calibrated(networks):
     truth = transform(camera(20) @ T_WORLD_OBJ, networks.objects["brick"].keypoints)
     votes, estimator = PerfectVotes(networks, noise=0.4), LateFusionEstimator(networks)
     scaled = []
@@ -46,8 +46,8 @@ def test_the_relative_pose_is_used(networks):
     frontend = PerfectVotes(networks)
     pair = [view(20), view(65)]
     encoded = [frontend.encode_view(v, 0) for v in pair]
-    told_wrong = View(pair[1].image, LINEMOD_K, camera(60))
-    object.__setattr__(encoded[1], "view", told_wrong)
+    wrong = View(pair[1].image, LINEMOD_K, camera(60))
+    object.__setattr__(encoded[1], "view", wrong)
     estimator = LateFusionEstimator(networks)
     first = estimator.from_one_view(encoded[0], "brick")
     [found] = estimator.fuse([Sighting(encoded, "brick", first)])

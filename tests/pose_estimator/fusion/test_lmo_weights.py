@@ -1,4 +1,4 @@
-"""The weights for LM-O's objects: what they may hold, what they say, and that they work."""
+"""The weights for LM-O's objects: license, metadata and use."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from two_view_pose.pose_estimator.visualization import ESTIMATE_COLOR, draw_pose
 NAMES = ("ape", "can", "cat", "driller", "duck", "eggbox", "glue", "holepuncher")
 
 
-def test_they_name_their_sources_and_hold_no_mesh():
+def test_the_header_names_its_sources_and_stores_no_mesh():
     header = read_header(SHIPPED / "lmo.safetensors")
     for word in ("Hinterstoisser", "Brachmann", "BOP", "CC BY-SA 4.0"):
         assert word in header["attribution"]
@@ -28,7 +28,7 @@ def test_they_name_their_sources_and_hold_no_mesh():
     assert sum(path.stat().st_size for path in stored) < 40e3
 
 
-def test_they_know_eight_objects_of_their_own():
+def test_the_objects_are_the_eight_of_lmo():
     objects = pose_estimator.load("mid", "lmo").networks.objects
     assert tuple(objects) == NAMES
     for name, model in objects.items():
@@ -39,20 +39,20 @@ def test_they_know_eight_objects_of_their_own():
         assert model.diameter == pytest.approx(ours.diameter, rel=0.01)
 
 
-def test_any_picture_gets_a_sound_answer():
+def test_noise_images_give_a_valid_pose():
     estimator = pose_estimator.load("mid", "lmo")
     rng = np.random.default_rng(0)
-    pictures = rng.integers(0, 256, (2, 480, 640, 3), dtype=np.uint8)
+    images = rng.integers(0, 256, (2, 480, 640, 3), dtype=np.uint8)
     aside = make_transform(np.eye(3), np.array([0.2, 0.0, 0.0]))
-    views = [View(pictures[0], LINEMOD_K, np.eye(4)), View(pictures[1], LINEMOD_K, aside)]
+    views = [View(images[0], LINEMOD_K, np.eye(4)), View(images[1], LINEMOD_K, aside)]
     answer = estimator.estimate(views, "eggbox")
     check_sound(answer, 2)
     model = estimator.networks.objects["eggbox"]
-    drawn = draw_poses(pictures[0], model, {ESTIMATE_COLOR: answer.T_cam_obj}, LINEMOD_K)
-    assert drawn.shape == pictures[0].shape
+    drawn = draw_poses(images[0], model, {ESTIMATE_COLOR: answer.T_cam_obj}, LINEMOD_K)
+    assert drawn.shape == images[0].shape
 
 
-def test_what_they_know_cannot_be_drawn(tmp_path: Path):
+def test_objects_without_a_mesh_cannot_be_rendered(tmp_path: Path):
     folder = SHIPPED / "lmo_objects" / "duck"
     with pytest.raises(ValueError, match=r"duck cannot be drawn.*Name its mesh file"):
         gym.make("two_view_pose:TwoViewPose-v0", objects=[str(folder)], estimator=None)

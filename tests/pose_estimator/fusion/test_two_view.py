@@ -1,4 +1,4 @@
-"""What the fusions share: where they look, when, and that they agree on what they see."""
+"""What the fusions share: detection, second pass, symmetry."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ FUSIONS = [LateFusionEstimator, MidFusionEstimator]
 
 
 def looking(networks, method, views, rois=None) -> tuple[PoseEstimate, list]:
-    """An estimate, and what its frontend was told of where to look."""
+    """An estimate, and the regions that its frontend was given."""
     estimator = method(networks)
     estimator.frontend = PerfectVotes(networks)
-    return estimator.estimate(views, "brick", rois), estimator.frontend.told
+    return estimator.estimate(views, "brick", rois), estimator.frontend.rois
 
 
 def true_roi(networks, degrees: float) -> Roi:
@@ -44,12 +44,12 @@ def true_roi(networks, degrees: float) -> Roi:
 
 
 @pytest.mark.parametrize("method", FUSIONS)
-def test_every_view_is_looked_at_twice(networks, method):
-    found, told = looking(networks, method, [view(20), view(70)])
-    nothing, again = told[:2], told[2:]
+def test_two_passes_over_every_view(networks, method):
+    found, rois_seen = looking(networks, method, [view(20), view(70)])
+    nothing, again = rois_seen[:2], rois_seen[2:]
     assert nothing == [None, None]
     assert len(again) == 2
-    # The second look is at the first fusion's pose, whatever that is worth.
+    # The second pass crops at the first fusion's pose, whatever that is worth.
     for roi, degrees in zip(again, (20, 70), strict=True):
         assert np.abs(roi.center - true_roi(networks, degrees).center).max() < 30
     # The answer says where the object was found at first.
@@ -57,20 +57,20 @@ def test_every_view_is_looked_at_twice(networks, method):
 
 
 @pytest.mark.parametrize("method", [SingleViewEstimator, *FUSIONS])
-def test_one_view_is_looked_at_once(networks, method):
-    found, told = looking(networks, method, [view(20)])
-    assert told == [None]
+def test_one_view_has_one_pass(networks, method):
+    found, rois_seen = looking(networks, method, [view(20)])
+    assert rois_seen == [None]
     assert np.array_equal(
         found.T_cam_obj, looking(networks, SingleViewEstimator, [view(20)])[0].T_cam_obj
     )
 
 
 @pytest.mark.parametrize("method", [SingleViewEstimator, *FUSIONS])
-def test_regions_from_elsewhere_replace_the_detectors(networks, method):
+def test_given_regions_replace_the_detector(networks, method):
     rois = [true_roi(networks, 20), true_roi(networks, 70)]
-    found, told = looking(networks, method, [view(20), view(70)], rois)
+    found, rois_seen = looking(networks, method, [view(20), view(70)], rois)
     seen = 1 if method is SingleViewEstimator else 2
-    assert told[:seen] == rois[:seen]
+    assert rois_seen[:seen] == rois[:seen]
     assert found.rois == rois[:seen]
     with pytest.raises(ValueError, match="one region for each of the 2 views, got 1"):
         looking(networks, method, [view(20), view(70)], rois[:1])
@@ -88,7 +88,7 @@ def test_a_region_of_a_pose_holds_the_object(networks):
     assert np.isfinite([*behind.center, behind.side]).all() and behind.side > 0
 
 
-def test_the_views_are_searched_together(networks):
+def test_views_are_detected_jointly(networks):
     """What the frontend finds in all views at once is what each is then encoded at."""
 
     class Together(PerfectVotes):
@@ -98,11 +98,11 @@ def test_the_views_are_searched_together(networks):
     estimator = LateFusionEstimator(networks)
     estimator.frontend = Together(networks)
     found = estimator.estimate([view(20), view(70)], "brick")
-    assert estimator.frontend.told[0] is None
+    assert estimator.frontend.rois[0] is None
     np.testing.assert_array_equal(found.rois[1].center, true_roi(networks, 70).center)
 
 
-def test_votes_are_renumbered_to_the_references(networks):
+def test_symmetric_votes_are_permuted_to_the_reference(networks):
     model = networks.objects["crate"]
     frontend = PerfectVotes(networks, (0, 1, 1))
     encoded = [frontend.encode_view(view(degrees), 1) for degrees in (20, 65, -10)]
@@ -128,7 +128,7 @@ def test_the_joint_pose_is_the_truth_whatever_the_baseline(networks, degrees):
     np.testing.assert_allclose(transform(T, model.keypoints), truth, atol=2e-3)
 
 
-def test_votes_that_no_pose_explains_leave_the_pose_that_was_known(networks):
+def test_contradictory_votes_keep_the_previous_pose(networks):
     model = networks.objects["brick"]
     first, _ = looking(networks, SingleViewEstimator, [view(20)])
     away = make_transform(np.diag([-1.0, 1, -1]), [0, 0, -5.0])  # behind the second camera
@@ -140,7 +140,7 @@ def test_votes_that_no_pose_explains_leave_the_pose_that_was_known(networks):
     assert np.array_equal(joint, first.T_cam_obj)
 
 
-def test_a_joint_pose_far_from_what_was_known_is_not_believed(networks):
+def test_a_joint_pose_of_inconsistent_depth_is_rejected(networks):
     """Two views that show different things meet somewhere far away."""
     model = networks.objects["brick"]
     first, _ = looking(networks, SingleViewEstimator, [view(20)])
@@ -172,11 +172,11 @@ def test_collapsed_votes_leave_the_object_at_the_depth_of_its_region(networks):
     assert placed.side == pytest.approx(region.side, rel=0.01)
     assert np.abs(placed.center - region.center).max() < 1
     assert np.isfinite(found.keypoint_covariance).all()
-    # Whoever fuses it is told how little it is worth.
+    # Its covariance is large.
     assert found.keypoint_covariance[0, 2, 2] > (0.3 * model.diameter) ** 2
 
 
-def test_points_in_space_and_votes_are_weighed_by_their_covariances(networks):
+def test_3d_keypoints_and_votes_are_weighted_by_their_covariances(networks):
     """The points lie 2 cm deeper than the votes say."""
     model = networks.objects["brick"]
     first, _ = looking(networks, SingleViewEstimator, [view(20)])
@@ -200,45 +200,41 @@ def test_points_in_space_and_votes_are_weighed_by_their_covariances(networks):
 def test_wrong_calls_are_refused(networks):
     with pytest.raises(ValueError, match="unknown solver 'best'; there are soft, kabsch, hard"):
         MidFusionEstimator(networks, "best")
-    with pytest.raises(ValueError, match="do not know the object 'teapot'; they know brick, crate"):
-        LateFusionEstimator(networks).estimate([view(0)], "teapot")
-    with pytest.raises(ValueError, match="at least one view"):
-        LateFusionEstimator(networks).estimate([], "brick")
     with pytest.raises(TypeError, match="fuse"):
         TwoViewEstimator(networks)
 
 
 @pytest.mark.parametrize("roll", [-2.5, -0.7, 0.0, 0.3, 1.2])
-def test_an_upright_turn_makes_the_axis_point_up(roll):
+def test_upright_roll_makes_the_axis_point_up(roll):
     T = rolled(roll) @ camera(35) @ T_WORLD_OBJ
     ends = project(transform(T, np.array([[0, 0, 0], [0, 0, 1e-4]])), LINEMOD_K)
     along = rotation_matrix_2d(upright_roll(T, LINEMOD_K), 128)[:2, :2] @ (ends[1] - ends[0])
     assert along[1] < 0 and abs(along[0]) < 1e-3 * abs(along[1])
 
 
-def test_an_axis_towards_the_camera_has_no_upright():
+def test_an_axis_towards_the_camera_has_no_upright_roll():
     above = make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 0.8]))
     assert upright_roll(above, LINEMOD_K) is None
     assert upright_roll(make_transform(np.eye(3), np.array([0.0, 0, -0.5])), LINEMOD_K) is None
 
 
 def rolled(angle: float) -> np.ndarray:
-    """The motion (4, 4) of a camera that is turned about its line of sight."""
+    """The motion (4, 4) of a camera that is rotated about its line of sight."""
     return make_transform(Rotation.from_euler("z", angle).as_matrix(), np.zeros(3))
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.8, 2.4])
-def test_the_second_look_shows_the_object_upright(networks, roll):
+def test_the_second_pass_crops_are_upright(networks, roll):
     asked = []
 
-    class Turned(PerfectVotes):
-        def encode_rotated(self, targets, turns):
-            asked.extend(map(tuple, turns))
-            return super().encode_rotated(targets, turns)
+    class Recording(PerfectVotes):
+        def encode_rotated(self, targets, rolls):
+            asked.extend(map(tuple, rolls))
+            return super().encode_rotated(targets, rolls)
 
     views = [replace(view(d), T_cam_world=rolled(roll) @ camera(d)) for d in (20, 70)]
     estimator = LateFusionEstimator(networks)
-    estimator.frontend = Turned(networks)
+    estimator.frontend = Recording(networks)
     found = estimator.estimate(views, "brick")
     upright = upright_roll(found.T_cam_obj, LINEMOD_K)
     assert asked[0][0] == pytest.approx(np.clip(upright, -1.5, 1.5), abs=0.1)
@@ -246,19 +242,19 @@ def test_the_second_look_shows_the_object_upright(networks, roll):
     assert min(asked[0]) == asked[0][0] - 0.2 and max(asked[0]) == asked[0][0] + 0.2
 
 
-def test_where_upright_has_no_meaning_the_turn_of_the_first_look_is_kept(networks):
+def test_without_an_upright_roll_that_of_the_first_pass_is_kept(networks):
     asked = []
 
-    class Turned(PerfectVotes):
+    class Recording(PerfectVotes):
         def encode_view(self, view, index, roi=None):
             return replace(super().encode_view(view, index, roi), roll=0.5 * self.calls)
 
-        def encode_rotated(self, targets, turns):
-            asked.extend(own[0] for own in turns)
-            return super().encode_rotated(targets, turns)
+        def encode_rotated(self, targets, rolls):
+            asked.extend(own[0] for own in rolls)
+            return super().encode_rotated(targets, rolls)
 
     estimator = LateFusionEstimator(networks)
-    estimator.frontend = Turned(networks)
+    estimator.frontend = Recording(networks)
     [sighting] = estimator.encode_views([([view(20)], "brick")])
     above = make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 0.9]))
     estimator.refine([replace(sighting, first=replace(sighting.first, T_cam_obj=above))])
