@@ -1,4 +1,4 @@
-"""What a user hands over in files: photographs, depth maps and matrices."""
+"""Reads matrices and depth maps from a user's files."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray
 
     Args:
         path: the file.
-        name: what to call it in errors.
-        keys: the keys under which a JSON object may hold it.
+        name: of the argument, for errors.
+        keys: of a JSON object, the first that is there is read.
 
     Returns:
-        float64; nine or sixteen numbers in a row become 3x3 or 4x4.
+        float64; a list of 9 or 16 numbers is reshaped to 3x3 or 4x4.
 
     Raises:
         FileNotFoundError: if there is no such file.
-        InputError: if it holds no matrix of numbers.
+        InputError: if it does not hold a matrix of numbers.
     """
     try:
         if path.suffix == ".npy":
@@ -47,29 +47,28 @@ def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray
     return matrix
 
 
-_NEAREST, _FARTHEST = 0.05, 30.0
-"""Meters between which the median of a depth map is to be: else its unit is wrong."""
+_MIN_MEDIAN, _MAX_MEDIAN = 0.05, 30.0
+"""Meters: a depth map with another median has the wrong unit."""
 
 
 def read_depth_map(path: Path, unit: float | None = None) -> np.ndarray:
-    """Reads a depth map in meters, float32 (H, W), 0 where nothing was seen.
+    """Reads a depth map in meters, float32 (H, W), 0 = unknown.
 
     Args:
         path: a 16-bit gray PNG or TIFF, or a .npy.
-        unit: meters that a step of the file means; none = millimeters for whole numbers and meters
-            for others.
+        unit: meters per unit of the file; None: 0.001 for integers, 1 for floats.
 
     Raises:
         FileNotFoundError: if there is no such file.
-        InputError: if it holds no map, or the unit cannot be right.
+        InputError: if it does not hold a depth map, or the unit is implausible.
     """
     if unit is not None and not 0 < unit < float("inf"):
-        raise InputError(f"depth_unit must be positive meters a step, got {unit}")
+        raise InputError(f"depth_unit must be positive, in meters, got {unit}")
     try:
         npy = path.suffix == ".npy"
         steps = np.load(path, allow_pickle=False) if npy else read_image(path, None)
     except (EOFError, ValueError) as error:
-        raise InputError(f"depth {path} is neither a picture file nor a .npy array") from error
+        raise InputError(f"depth {path} is neither an image file nor a .npy array") from error
     if steps.ndim != 2 or steps.dtype.kind not in "uif" or steps.dtype == np.uint8:
         raise InputError(
             f"depth {path} must be one channel of 16 bits or more (or a .npy of numbers), got "
@@ -78,10 +77,10 @@ def read_depth_map(path: Path, unit: float | None = None) -> np.ndarray:
     if unit is None:
         unit = 1.0 if steps.dtype.kind == "f" else 0.001
     depth = (steps.astype(np.float64) * unit).astype(np.float32)
-    seen = depth[np.isfinite(depth) & (depth > 0)]
-    if seen.size and not _NEAREST < float(np.median(seen)) < _FARTHEST:
+    known = depth[np.isfinite(depth) & (depth > 0)]
+    if known.size and not _MIN_MEDIAN < float(np.median(known)) < _MAX_MEDIAN:
         raise InputError(
-            f"depth {path} has a median of {np.median(seen):.4g} m, which cannot be: "
-            f"what is a step of it? depth_unit is {unit:g} m"
+            f"depth {path} has an implausible median of {np.median(known):.4g} m; depth_unit is "
+            f"{unit:g} m: is it right?"
         )
     return depth

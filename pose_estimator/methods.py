@@ -1,4 +1,10 @@
-"""The one table of estimation methods: a new one is one file and one row here."""
+"""The table of estimation methods.
+
+To add one, write its estimator in ``fusion/``, most often a
+:class:`~.fusion.two_view.TwoViewEstimator` with a ``fuse``, and a row here. Commands, the study and
+its figures read the table. A method with a network of its own also needs the network's name in
+``networks/parts.py``, the network in ``networks/container.py`` and its stage in ``training/``.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +17,17 @@ from ..core.errors import InputError
 
 @dataclass(frozen=True)
 class Method:
-    """How a pose is estimated.
+    """One way to estimate a pose.
 
     Attributes:
         name: as commands and :func:`load` take it.
         summary: one line.
-        views: how many views it uses, 1 or 2; one of 2 uses further views too.
-        needs_depth: whether the reference view must have a sensor's depth map.
-        parts: the networks that it runs, of ``parts.PARTS``.
+        views: how many it uses, 1 or 2 (and more).
+        needs_depth: whether the reference view must have a depth map.
+        parts: the networks that it runs, of ``networks.parts.PARTS``.
         estimator: its class, ``module:Class`` in this package.
-        color: of its curve in plots.
-        marker: of its points in plots, as Matplotlib names them.
+        color: in plots (after Okabe and Ito, for the color-blind).
+        marker: in plots, as Matplotlib names it.
     """
 
     name: str
@@ -64,14 +70,11 @@ METHOD_TABLE = {
         ),
     )
 }  # fmt: skip
-"""The methods by name."""
-
 METHODS = tuple(METHOD_TABLE)
-"""Names of the methods."""
 
 
 def find_method(name: str) -> Method:
-    """The method of a name.
+    """Returns the method of this name.
 
     Raises:
         InputError: if there is none.

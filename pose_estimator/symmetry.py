@@ -1,37 +1,36 @@
-"""One pose for each appearance of a symmetric object."""
+"""Symmetric objects: one canonical pose for each appearance, and permuted keypoints."""
 
 from __future__ import annotations
 
 import numpy as np
 
-_SEEN_BEST = np.array([0.45, 0.89, 0.0])
-"""Direction in the object's frame, from which the canonical pose is seen."""
+_CANONICAL_DIRECTION = np.array([0.45, 0.89, 0.0])
+"""In the object's frame; in the canonical pose it points towards the camera."""
 
 
 def canonical_pose(T_cam_obj: np.ndarray, symmetries: np.ndarray) -> np.ndarray:
-    """Chooses the equivalent pose that the camera sees best.
+    """Returns the symmetry-equivalent pose whose fixed side faces the camera most.
 
-    Two poses that differ by a symmetry look alike, and no network can tell them apart. Of all
-    equivalents this takes the one whose fixed side faces the camera most.
+    Poses that differ by a symmetry look alike, so a network needs one label for all of them.
 
     Args:
         T_cam_obj: (4, 4).
         symmetries: (S, 4, 4), identity first.
 
     Returns:
-        (4, 4), ``T_cam_obj @ symmetries[s]`` for the best s.
+        ``T_cam_obj @ symmetries[s]`` for the best s, (4, 4).
     """
     if len(symmetries) == 1:
         return T_cam_obj
     equivalents = T_cam_obj @ symmetries
     towards_camera = -np.einsum("sji,sj->si", equivalents[:, :3, :3], equivalents[:, :3, 3])
-    return equivalents[int(np.argmax(towards_camera @ _SEEN_BEST))]
+    return equivalents[int(np.argmax(towards_camera @ _CANONICAL_DIRECTION))]
 
 
 def keypoint_permutations(
     keypoints: np.ndarray, symmetries: np.ndarray, tolerance: float = 1e-4
 ) -> np.ndarray:
-    """How the symmetries permute the keypoints.
+    """Returns how the symmetries permute the keypoints.
 
     Args:
         keypoints: (9, 3).
@@ -39,9 +38,9 @@ def keypoint_permutations(
         tolerance: meters.
 
     Returns:
-        (P, 9) index arrays, the identity first: keypoint i of ``T @ symmetries[p]`` lies where
-        keypoint ``permutation[p, i]`` of ``T`` lies. Symmetries under which the set of keypoints is
-        not closed are left out.
+        (P, 9) indices, the identity first: keypoint i of ``T @ symmetries[p]`` is keypoint
+        ``permutation[p, i]`` of ``T``. Symmetries under which the set of keypoints is not closed
+        are left out.
     """
     permutations = []
     for S in symmetries:

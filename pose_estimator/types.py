@@ -1,4 +1,4 @@
-"""What every estimator answers."""
+"""Regions of interest and pose estimates: what estimators take and return."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from ..core.geometry import project
 
 _MIN_AXIS_SINE = 0.3
-"""Sine of the angle between an axis and the line of sight from which on its direction counts."""
+"""Smallest sine of the angle between an axis and the viewing ray for a usable direction."""
 
 _MIN_DEPTH = 0.1
-"""Smallest depth in meters at which a region of interest is placed."""
+"""Meters: regions of interest of nearer objects are those at this depth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Roi:
-    """A square region of one full frame in which the object was found.
+    """A square region of interest in a full frame.
 
     Attributes:
         center: pixels, (2,).
         side: pixels.
-        score: how sure the detector was, 0 to 1.
+        score: detection confidence, 0 to 1.
     """
 
     center: np.ndarray
@@ -33,14 +33,14 @@ class Roi:
 def roi_of_pose(
     T_cam_obj: np.ndarray, K: np.ndarray, diameter: float, scale: float, score: float = 1.0
 ) -> Roi:
-    """The region of interest that an object in a known pose would have.
+    """Returns the region of interest of an object in a known pose.
 
     Args:
-        T_cam_obj: (4, 4), meters; one behind the camera is taken to be near it.
+        T_cam_obj: (4, 4), meters; its depth is clipped to at least 0.1 m.
         K: camera matrix, (3, 3).
         diameter: of the object, meters.
         scale: side of the region in diameters.
-        score: as the attribute of :class:`Roi`.
+        score: of the region.
     """
     depth = max(float(T_cam_obj[2, 3]), _MIN_DEPTH)
     center = project(np.array([T_cam_obj[0, 3], T_cam_obj[1, 3], depth]), K)
@@ -48,40 +48,40 @@ def roi_of_pose(
 
 
 def upright_roll(T_cam_obj: np.ndarray, K: np.ndarray) -> float | None:
-    """How far to turn a image so that an object's z axis, as it is seen, points up.
+    """Returns the image rotation after which the object's projected z axis points up.
 
     Args:
         T_cam_obj: (4, 4), meters.
         K: camera matrix, (3, 3).
 
     Returns:
-        Radians as :func:`rotation_matrix_2d` takes them, -pi to pi; None where the axis points so
-        much towards the camera or away that it has no direction in the image.
+        Radians for :func:`rotation_matrix_2d`, -pi to pi; None where the axis is nearly parallel to
+        the viewing ray and has no direction in the image.
     """
     center, axis = T_cam_obj[:3, 3], T_cam_obj[:3, 2]
     # The derivative of the projection at the center, along the axis.
-    seen = K[:2, :2] @ (axis[:2] - axis[2] * center[:2] / max(center[2], _MIN_DEPTH))
-    if np.hypot(*seen) < _MIN_AXIS_SINE * K[0, 0]:
+    direction = K[:2, :2] @ (axis[:2] - axis[2] * center[:2] / max(center[2], _MIN_DEPTH))
+    if np.hypot(*direction) < _MIN_AXIS_SINE * K[0, 0]:
         return None
-    turn = -np.pi / 2 - np.arctan2(seen[1], seen[0])
-    return float((turn + np.pi) % (2 * np.pi) - np.pi)
+    roll = -np.pi / 2 - np.arctan2(direction[1], direction[0])
+    return float((roll + np.pi) % (2 * np.pi) - np.pi)
 
 
 def depth_of_roi(roi: Roi, K: np.ndarray, diameter: float, scale: float) -> float:
-    """The depth in meters at which an object fills its region; the inverse of `roi_of_pose`."""
+    """Returns the depth in meters from the region's size; the inverse of :func:`roi_of_pose`."""
     return scale * diameter * float(K[0, 0]) / max(roi.side, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
-    """An object's pose, with how sure the estimator is of it.
+    """An object's pose with its uncertainty.
 
     Attributes:
-        T_cam_obj: the object in the reference camera, (4, 4) float64, meters.
-        keypoints: the object's nine keypoints in the reference camera, (9, 3), meters.
-        keypoint_covariance: their covariances, (9, 3, 3), square meters.
-        rois: where the object was found, one region for each view, the reference first.
-        solver_keypoints: what the solver was given, (9, 3), where the pose was refined after it and
+        T_cam_obj: object to reference camera, (4, 4) float64, meters.
+        keypoints: in the reference camera, (9, 3), meters.
+        keypoint_covariance: (9, 3, 3), square meters.
+        rois: the detected region of each view, the reference first.
+        solver_keypoints: the input (9, 3) of the solver, if the pose was refined after it and
             ``keypoints`` are those of the refined pose; else None.
     """
 

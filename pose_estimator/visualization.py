@@ -1,4 +1,4 @@
-"""Draws a posed object into a image: its silhouette, its outline, an enlarged detail."""
+"""Draws a posed object into an image: its silhouette and its outline."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ..core.geometry import check_image, check_intrinsics, check_rigid, transfor
 TRUE_COLOR = (57, 190, 88)
 ESTIMATE_COLOR = (255, 122, 26)
 
-_NEAR = 0.01  # meters; nearer faces are left out of a silhouette
+_MIN_DEPTH = 0.01  # meters; nearer faces are left out of a silhouette
 _SHIFT = 4  # cv2's fixed point: 1/16 of a pixel
 _THICKNESS = 2  # pixels
-_LIMIT = 2**20 / 2**_SHIFT  # pixels; what lies further out is of no interest
+_MAX_PIXEL = 2**20 / 2**_SHIFT  # coordinates are clipped to it, for cv2's fixed point
 
 
 class Shape(Protocol):
-    """What is drawn of an object: vertices (V, 3) in meters and faces (F, 3) of indices."""
+    """An object that can be drawn: vertices (V, 3) in meters and faces (F, 3) of indices."""
 
     @property
     def vertices(self) -> np.ndarray: ...
@@ -32,7 +32,7 @@ class Shape(Protocol):
 def silhouette(
     model: Shape, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
 ) -> np.ndarray:
-    """Which pixels the object alone would cover.
+    """Returns the mask of the pixels that the object alone would cover.
 
     Args:
         model: the object.
@@ -41,17 +41,17 @@ def silhouette(
         shape: height and width of the image.
 
     Returns:
-        Mask (height, width), uint8, 255 inside; empty where the object is behind the camera.
+        (height, width), uint8, 255 inside; faces behind the camera are left out.
 
     Raises:
-        InputError: if the pose is not rigid or K is no camera matrix.
+        InputError: if the pose is not rigid or K is not a camera matrix.
     """
     K = check_intrinsics(K)
     vertices = transform(check_rigid(T_cam_obj, "T_cam_obj"), model.vertices)
     mask = np.zeros(shape, dtype=np.uint8)
-    in_front = (vertices[:, 2] > _NEAR)[model.faces].all(axis=1)
+    in_front = (vertices[:, 2] > _MIN_DEPTH)[model.faces].all(axis=1)
     uvw = vertices @ K.T
-    pixels = np.clip(uvw[:, :2] / np.maximum(uvw[:, 2:], _NEAR), -_LIMIT, _LIMIT)
+    pixels = np.clip(uvw[:, :2] / np.maximum(uvw[:, 2:], _MIN_DEPTH), -_MAX_PIXEL, _MAX_PIXEL)
     triangles = pixels[model.faces[in_front]]
     for triangle in np.round(triangles * 2**_SHIFT).astype(np.int32):
         cv2.fillConvexPoly(mask, triangle, 255, cv2.LINE_8, _SHIFT)
@@ -61,19 +61,10 @@ def silhouette(
 def outline(
     model: Shape, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
 ) -> list[np.ndarray]:
-    """The contours of the object's silhouette, holes included.
-
-    Args:
-        model: the object.
-        T_cam_obj: object to OpenCV camera, (4, 4), meters.
-        K: camera matrix, (3, 3), pixels.
-        shape: height and width of the image.
+    """Returns the contours of the :func:`silhouette`, holes included.
 
     Returns:
         Closed contours, each (N, 2) float64 pixels; none if the object is out of the image.
-
-    Raises:
-        InputError: if the pose is not rigid or K is no camera matrix.
     """
     # Contours run along pixel centers: rasterize finer, with a margin that the frame cuts off.
     scale, margin = 3, 4
@@ -93,7 +84,7 @@ def draw_poses(
     poses: Mapping[tuple[int, int, int], np.ndarray],
     K: np.ndarray,
 ) -> np.ndarray:
-    """A copy of the image with the object outlined in each pose, anti-aliased.
+    """Returns a copy of the image with the object outlined in each pose, anti-aliased.
 
     Args:
         image: RGB uint8, (H, W, 3).
@@ -102,7 +93,7 @@ def draw_poses(
         K: camera matrix of the image, (3, 3).
 
     Raises:
-        InputError: if the image is not uint8 RGB, a pose is not rigid or K is no camera matrix.
+        InputError: if the image is not uint8 RGB, a pose is not rigid or K is not a camera matrix.
     """
     canvas = np.ascontiguousarray(check_image(image)).copy()
     for color, T_cam_obj in poses.items():

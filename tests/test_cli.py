@@ -174,7 +174,7 @@ WRONG = {
     ),
     "depth is no picture": (
         dict(method=lambda i: "rgbd", depth=lambda i: write(i, "d.png", "x")),
-        "neither a picture file nor a .npy",
+        "neither an image file nor a .npy",
     ),
     "depth of another size": (
         dict(method=lambda i: "rgbd", depth=lambda i: depth_map(i, (240, 320))),
@@ -186,7 +186,7 @@ WRONG = {
             "depth": lambda i: depth_map(i),
             "depth-unit": lambda i: 1.0,
         },
-        "has a median of 900 m, which cannot be",
+        "has an implausible median of 900 m",
     ),
     "depth in no unit": (
         {"method": lambda i: "rgbd", "depth": lambda i: depth_map(i), "depth-unit": lambda i: 0},

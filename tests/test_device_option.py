@@ -14,7 +14,7 @@ from two_view_pose.envs.recording.record_bank import RecordBankConfig
 
 COMMANDS = {
     "demo": "--out {0}/demo.png",
-    "evaluate": "--keep {0}/scenes",
+    "evaluate": "--cache-dir {0}/scenes",
     "estimate": "--reference {0}/no.png --object can --K linemod --out {0}/pose.json",
     "compare": "--out {0}/study",
     "record-bank": "--out {0}/bank.npz",

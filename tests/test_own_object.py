@@ -149,7 +149,7 @@ def test_figures_on_the_data_and_on_fresh_scenes(
     known = f"--weights {weights} --threads 1"
     assert run(f"evaluate --data {test_data} {known} --json {tmp_path / 'data.json'}") == 0
     assert recalls(tmp_path / "data.json") == {"bracket": 2, "mean": 2}
-    fresh = f"--scenes 1 {known} --keep {tmp_path / 'fresh'} --json {tmp_path / 'fresh.json'}"
+    fresh = f"--scenes 1 {known} --cache-dir {tmp_path / 'fresh'} --json {tmp_path / 'fresh.json'}"
     assert run(f"evaluate --scene linemod {fresh}") == 0
     assert recalls(tmp_path / "fresh.json") == {"bracket": 1, "mean": 1}
     assert [info.name for info in read_models_info(tmp_path / "fresh").values()] == ["bracket"]

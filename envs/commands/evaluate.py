@@ -11,6 +11,7 @@ from ...pose_estimator.bop.find_dataset import find_dataset
 from ...pose_estimator.evaluation.config import EvaluateConfig
 from ...pose_estimator.evaluation.evaluate import evaluate_dataset
 from ...pose_estimator.evaluation.score_results import score_file
+from ...pose_estimator.methods import find_method
 from ..datagen.generate import GenerateConfig, generate
 from ..simulation.scene_kinds import SCENE_KINDS
 
@@ -38,8 +39,9 @@ def evaluate(config: EvaluateConfig) -> None:
         root = find_dataset(config.data)
         evaluate_dataset(config, root, {"dataset": root.name})
         return
+    depth = find_method(config.method).needs_depth
     with tempfile.TemporaryDirectory() as scratch:
-        root = config.keep or Path(scratch) / "scenes"
+        root = config.cache_dir or Path(scratch) / "scenes"
         generate(
             GenerateConfig(
                 out=root,
@@ -53,8 +55,8 @@ def evaluate(config: EvaluateConfig) -> None:
                 jpeg_quality=0,
                 masks=False,
                 annotations="basic",
-                depth=config.method == "rgbd",
-                depth_noise=config.method == "rgbd",
+                depth=depth,
+                depth_noise=depth,
             )
         )
         evaluate_dataset(config, root, {"scene": config.scene})

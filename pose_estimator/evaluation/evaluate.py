@@ -14,6 +14,7 @@ from ..bop.objects import dataset_objects, has_models
 from ..bop.pairs import PAIRS_FILE, turned_round
 from ..bop.results import surest_of_each_target, write_bop_results
 from ..bop.targets import TARGETS_FILE, is_test, read_targets
+from ..methods import find_method
 from .config import EvaluateConfig
 from .evaluate_pairs import evaluate_pairs
 from .metrics import MeasuredObject
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]) -> list[dict]:
-    """Evaluates on a BOP dataset at ``root``, prints and writes what came out."""
+    """Evaluates on a BOP dataset at ``root``, prints and writes the results."""
     from ...core.results import write_results
     from ..fusion.loading import load
 
@@ -38,31 +39,26 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     pairs = list(find_pairs(dataset, config.pairs))
     if config.pairs is None and not (root / PAIRS_FILE).is_file():
         print(f"{len(pairs)} pairs of views found from the poses of {root / config.split}")
-    if config.both_ways:
+    if config.both_directions:
         pairs += [turned_round(pair) for pair in pairs]
     outcomes = evaluate_pairs(
-        estimator,
-        dataset,
-        pairs,
-        networks.objects,
-        depth=config.method == "rgbd",
+        estimator, dataset, pairs, networks.objects,
+        depth=find_method(config.method).needs_depth,
         ground_truth_rois=_ground_truth_rois(config, networks),
         surfaces=_surfaces(config, dataset, networks.objects),
         targets=_targets(dataset),
         baselines=config.baselines,
-    )
+    )  # fmt: skip
     if not outcomes:
         raise InputError(
             f"no pair of views of {root / config.split} shows what the weights {config.weights} "
             f"know: {', '.join(f'{n} ({m.obj_id})' for n, m in networks.objects.items())}"
         )
-    tags = {"method": config.method, **tags}
-    if config.solver != "soft":
-        tags["solver"] = config.solver
-    if config.roi != "detector":
-        tags["roi"] = config.roi
+    changed = {n: getattr(config, n) for n in ("solver", "roi") if n in _changed(config)}
+    tags = {"method": config.method, **tags, **changed}
     records = summarize(outcomes, tags, config.seed)
-    print_table(records, _title(tags))
+    words = {"solver": "solver {}", "roi": "ground-truth ROI: {}"}
+    print_table(records, ", ".join(words.get(k, "{}").format(tag) for k, tag in tags.items()))
     for gap in sorted({o.gap for o in outcomes if o.gap is not None}):
         group = [o for o in outcomes if o.gap == gap]
         records += summarize(group, {**tags, "gap": gap}, config.seed)
@@ -75,7 +71,7 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
 
 
 def _ground_truth_rois(config: EvaluateConfig, networks: PoseNetworks) -> GroundTruthRois | None:
-    """What ``config.roi`` means."""
+    """Returns the generator of regions for ``config.roi``; None leaves it to the detector."""
     if config.roi == "detector":
         return None
     scale = networks.features.config.roi_scale
@@ -85,7 +81,7 @@ def _ground_truth_rois(config: EvaluateConfig, networks: PoseNetworks) -> Ground
 def _surfaces(
     config: EvaluateConfig, dataset: BopDataset, objects: Mapping[str, ObjectModel]
 ) -> Mapping[str, MeasuredObject] | None:
-    """The dataset's own models of the objects, where it is not rendered by us and has some."""
+    """Returns the models of the dataset given by ``--data``, by name; None where it has none."""
     if config.data is None or not has_models(dataset.root):
         return None
     names = {model.obj_id: name for name, model in objects.items()}
@@ -94,24 +90,25 @@ def _surfaces(
 
 
 def _targets(dataset: BopDataset) -> set[tuple[int, int, int]] | None:
-    """(scene_id, im_id, obj_id) that a test split lists as targets; None where it has no list."""
+    """Returns the (scene_id, im_id, obj_id) in a test split's list of targets; None without one."""
     if not (is_test(dataset.split) and (dataset.root / TARGETS_FILE).is_file()):
         return None
     return {target[:3] for target in read_targets(dataset)}
 
 
-def _title(tags: Mapping[str, Any]) -> str:
-    """What a table shows, in words."""
-    words = {"solver": "solver {}", "roi": "ground-truth ROI: {}"}
-    return ", ".join(words.get(name, "{}").format(tag) for name, tag in tags.items())
+def _changed(config: EvaluateConfig) -> list[str]:
+    """Returns those of these options that do not have their default value."""
+    names = ("preset", "solver", "roi", "baselines")
+    return [name for name in names if getattr(config, name) != getattr(EvaluateConfig, name)]
 
 
 def _command(config: EvaluateConfig) -> str:
-    """The command line that repeats a measurement."""
+    """Returns the command line that repeats the evaluation."""
     options = f"evaluate --method {config.method} --weights {config.weights}"
-    for name in ("preset", "solver", "roi"):
-        if getattr(config, name) != getattr(EvaluateConfig, name):
+    changed = _changed(config)
+    for name in changed:
+        if name != "baselines":
             options += f" --{name} {getattr(config, name)}"
-    if config.baselines != EvaluateConfig.baselines:
+    if "baselines" in changed:
         options += " --baselines {:g} {:g}".format(*config.baselines)
-    return options + " --both-ways" * config.both_ways
+    return options + " --both-directions" * config.both_directions

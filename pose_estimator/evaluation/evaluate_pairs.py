@@ -25,7 +25,6 @@ class _Estimator(Protocol):
     @property
     def object_names(self) -> tuple[str, ...]: ...
 
-    # It is given regions of interest only where ``ground_truth_rois`` says so.
     def estimate(
         self, views: Sequence[View], object_name: str, rois: Sequence[Roi] | None = None
     ) -> PoseEstimate: ...
@@ -37,13 +36,13 @@ def target_pairs(
     targets: Container[tuple[int, int, int]] | None = None,
     baselines: tuple[float, float] = (0.0, 180.0),
 ) -> Iterator[tuple[BopPair, str]]:
-    """Every pair with an object to estimate: its target where it names one, else all it shows.
+    """Yields pairs with the object to estimate: their target, or every object if they name none.
 
     Args:
         pairs: of a dataset.
         objects: those that can be estimated.
-        targets: (scene_id, im_id, obj_id) of what counts where a pair names no target; None: all.
-        baselines: smallest and largest angle in degrees between the views, seen from the object.
+        targets: (scene_id, im_id, obj_id) that count where a pair names no target; None: all.
+        baselines: smallest and largest angle in degrees between the views, at the object.
     """
     names = {model.obj_id: name for name, model in objects.items()}
     for pair in pairs:
@@ -58,7 +57,7 @@ def target_pairs(
 
 
 def baseline_at(pair: BopPair, obj_id: int) -> float:
-    """The angle in degrees at one object; that of the pair where it does not say."""
+    """Returns the angle in degrees at an object; the pair's own where that is not known."""
     return float(pair.baselines_deg.get(obj_id, pair.baseline_deg))
 
 
@@ -79,23 +78,20 @@ def evaluate_pairs(
     """Runs an estimator on pairs of views.
 
     Args:
-        estimator: what to measure; it is given images, cameras and the object's name.
-        dataset: where the images and the true poses are.
-        pairs: see :func:`target_pairs`.
-        objects: the models.
+        estimator: gets images, cameras and the object's name.
+        dataset: has the images and the true poses.
+        pairs, objects, targets, baselines: see :func:`target_pairs`.
         views: 1 leaves the second view out.
-        depth: whether the estimator is given depth maps.
-        ground_truth_rois: for analyses only: makes the regions of interest that the estimator is
-            given. None leaves it to find the object.
-        surfaces: what errors are measured on, by the objects' names; None: ``objects``.
-        targets, baselines: see :func:`target_pairs`.
-        progress: whether to show a bar.
+        depth: whether the estimator gets depth maps.
+        ground_truth_rois: makes the regions of interest; None: the estimator detects the object.
+        surfaces: the objects to measure errors on, by name; None: ``objects``.
+        progress: whether to show a progress bar.
 
     Returns:
-        One outcome for each pair and target that both images are annotated with.
+        One outcome for each pair and target that is annotated in both images.
 
     Raises:
-        InputError: if ``depth`` is asked for and the dataset has none.
+        InputError: if ``depth`` is set and the dataset has none.
     """
     from tqdm import tqdm
 
@@ -138,7 +134,7 @@ def evaluate_pairs(
 
 
 class AnnotatedPair(NamedTuple):
-    """An object in a pair of views: both images, the reference first, and its true poses."""
+    """An object in a pair of views: both images and its true poses, the reference first."""
 
     pair: BopPair
     name: str
@@ -149,7 +145,7 @@ class AnnotatedPair(NamedTuple):
 def annotated_pair(
     pair: BopPair, name: str, obj_id: int, scene: Mapping[int, BopImage]
 ) -> AnnotatedPair | None:
-    """The images and true poses of a pair; None if an image is not annotated with the object."""
+    """Returns the images and true poses; None if an image is not annotated with the object."""
     images = [scene[pair.ref_image_id], scene[pair.second_image_id]]
     truths = [truth for image in images if (truth := image.annotation(obj_id)) is not None]
     return AnnotatedPair(pair, name, images, truths) if len(truths) == len(images) else None
@@ -162,16 +158,16 @@ def read_views(
     depth: bool,
     read: Callable[[BopImage], np.ndarray] = read_rgb,
 ) -> list[View]:
-    """What an estimator is given of a pair.
+    """Reads the views of a pair, with the reference camera's frame as the world.
 
     Args:
-        images: the reference and, unless the method looks at one view only, the second image.
-        T_second_ref: (4, 4) pose of the reference camera in the second one's frame.
+        images: the reference and, for methods of two views, the second image.
+        T_second_ref: reference to second camera, (4, 4).
         depth: whether to read depth maps too.
-        read: reads the pixels, for callers that keep some.
+        read: reads the pixels, for callers with a cache.
 
     Raises:
-        InputError: if depth is asked for and an image has none.
+        InputError: if ``depth`` is set and an image has none.
     """
     return [
         View(read(image), image.K, T, read_depth(image) if depth else None)
@@ -186,11 +182,11 @@ def _outcome(
     surface: MeasuredObject,
     seconds: float,
 ) -> Outcome:
-    """How far an estimate is off."""
+    """Computes the errors of an estimate."""
     pair, truth = case.pair, case.truths[0]
     error = add_or_add_s(estimate.T_cam_obj, truth.T_cam_obj, surface) / surface.diameter
     score = estimate.rois[0].score if estimate.rois else 1.0
-    row = (pair.scene_id, pair.ref_image_id, model.obj_id, score, estimate.T_cam_obj, seconds)
+    row = pair.scene_id, pair.ref_image_id, model.obj_id, score, estimate.T_cam_obj, seconds
     variance = np.trace(estimate.keypoint_covariance, axis1=1, axis2=2).mean()
     distances = keypoint_distances(estimate.keypoints, truth.T_cam_obj, model)
     return Outcome(

@@ -1,12 +1,10 @@
-"""Means with their 95 percent intervals, by the bootstrap (percentile method).
+"""Means with their 95 percent intervals, by the percentile bootstrap.
 
-Independent values are resampled one by one: :func:`bootstrap_interval`. Neighboring frames of one
-hand-held sequence are nearly the same image, so counting each as a trial of its own would make
-every interval too narrow: :func:`clustered_mean` resamples whole sequences (Efron and Tibshirani,
-*An Introduction to the Bootstrap*, chapter 8). Sequences that have no object in common, directly or
-through others, are resampled apart, so that every resample shows all objects as often. Where there
-is a single sequence of a kind, its frames are all there is to resample, and they are taken one by
-one.
+:func:`bootstrap_interval` resamples independent values. Neighboring frames of a sequence are nearly
+the same image, so :func:`clustered_mean` resamples whole sequences (Efron and Tibshirani, *An
+Introduction to the Bootstrap*, chapter 8). Sequences without a common object, directly or through
+others, are resampled in separate strata, so that every resample has all objects equally often. A
+sequence that is alone in its stratum is resampled by frames.
 """
 
 from __future__ import annotations
@@ -23,10 +21,10 @@ from ...core.errors import InputError
 RESAMPLES = 2000
 
 QUANTILES = ((1 - 0.95) / 2, (1 + 0.95) / 2)
-"""Of the resampled means: the ends of an interval of 95 percent."""
+"""Of the resampled means: the ends of a 95 percent interval."""
 
 _MAX_DRAWS = 1_000_000
-"""Values drawn at once: keeps the memory small for long lists."""
+"""Values drawn at once, which bounds the memory for long lists."""
 
 
 def bootstrap_interval(
@@ -34,15 +32,12 @@ def bootstrap_interval(
     rng: np.random.Generator,
     quantiles: tuple[float, float] = QUANTILES,
 ) -> tuple[float, float]:
-    """Interval of the mean over groups of the mean within each, resampled within each group.
+    """Returns the interval of the mean over the groups' means, resampled within each group.
 
     Args:
         groups: one or more lists of values, (N_g,) each; for a recall the 0/1 outcomes.
-        rng: where the resampling draws from.
+        rng: of the resampling.
         quantiles: of the resampled means.
-
-    Returns:
-        Low and high end of the interval.
 
     Raises:
         InputError: if there are no groups, or one is not a non-empty list of numbers.
@@ -66,11 +61,10 @@ class Estimate:
     """A mean with its interval.
 
     Attributes:
-        value: the mean over the groups of each group's mean.
-        low: lower end of the interval; None where a single value says nothing of its spread.
-        high: upper end of the interval, or None.
-        n: how many values went in.
-        sequences: how many sequences they come from.
+        value: the mean over the groups' means.
+        low, high: ends of the interval; None where a stratum has a single value.
+        n: number of values.
+        sequences: number of sequences.
     """
 
     value: float
@@ -87,13 +81,13 @@ def clustered_mean(
     *,
     seed: int = 0,
 ) -> Estimate:
-    """The mean over groups of the mean within each, and its percentile interval.
+    """Computes the mean over the groups' means, and its percentile interval.
 
     Args:
         values: one for each pair of views.
-        sequences: which sequence each value comes from.
-        groups: what each value is averaged with first, such as its object; None: one group. Every
-            group counts the same, however many values it has.
+        sequences: the sequence of each value.
+        groups: the group of each value, such as its object; None: one group. Every group counts the
+            same.
         seed: of the resampling.
 
     Raises:
@@ -107,23 +101,23 @@ def clustered_mean(
         raise InputError("values must be finite")
     if not len(sequences) == len(labels) == len(numbers):
         raise InputError(
-            f"values, sequences and groups must be equally many, "
+            "values, sequences and groups must have the same length, "
             f"got {len(numbers)}, {len(sequences)} and {len(labels)}"
         )
     group = _numbered(labels)
-    cluster, kinds = _clusters(_numbered(sequences), group)
-    sums, counts = (np.zeros((len(kinds), group.max() + 1)) for _ in range(2))
+    cluster, strata = _clusters(_numbered(sequences), group)
+    sums, counts = (np.zeros((len(strata), group.max() + 1)) for _ in range(2))
     np.add.at(sums, (cluster, group), numbers)
     np.add.at(counts, (cluster, group), 1.0)
 
     value = float(_mean_of_means(sums.sum(0, keepdims=True), counts.sum(0, keepdims=True))[0])
     total = (len(numbers), len(set(sequences)))
-    if np.bincount(kinds).min() == 1:
+    if np.bincount(strata).min() == 1:
         return Estimate(value, None, None, *total)
     rng = np.random.default_rng(seed)
-    times = np.zeros((RESAMPLES, len(kinds)))
-    for kind in range(kinds.max() + 1):
-        members = np.flatnonzero(kinds == kind)
+    times = np.zeros((RESAMPLES, len(strata)))
+    for stratum in range(strata.max() + 1):
+        members = np.flatnonzero(strata == stratum)
         shares = np.full(len(members), 1 / len(members))
         times[:, members] = rng.multinomial(len(members), shares, size=RESAMPLES)
     low, high = np.quantile(_mean_of_means(times @ sums, times @ counts), QUANTILES)
@@ -131,30 +125,26 @@ def clustered_mean(
 
 
 def _clusters(sequence: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What is resampled as a whole.
-
-    Returns:
-        The cluster of each value (N,), and the kind of each cluster (C,): draws stay within a kind.
-    """
+    """Returns the cluster of each value (N,), and the stratum of each cluster (C,)."""
     size = sequence.max() + 1, group.max() + 1
     shown = coo_array((np.ones(len(group)), (sequence, group)), shape=size).tocsr()
-    kind_of_sequence = connected_components(shown @ shown.T)[1]
-    singleton = (np.bincount(kind_of_sequence)[kind_of_sequence] == 1)[sequence]
-    # The values of a sequence that is alone become clusters, a kind for each of its groups.
+    stratum_of_sequence = connected_components(shown @ shown.T)[1]
+    singleton = (np.bincount(stratum_of_sequence)[stratum_of_sequence] == 1)[sequence]
+    # Values of a sequence that is alone become clusters, in a stratum for each of its groups.
     cluster = np.where(singleton, size[0] + np.arange(len(sequence)), sequence)
-    singleton_kind = size[0] + sequence * size[1] + group
-    kind = np.where(singleton, singleton_kind, kind_of_sequence[sequence])
+    singleton_stratum = size[0] + sequence * size[1] + group
+    stratum = np.where(singleton, singleton_stratum, stratum_of_sequence[sequence])
     _, first, cluster = np.unique(cluster, return_index=True, return_inverse=True)
-    return cluster.reshape(-1), np.unique(kind[first], return_inverse=True)[1].reshape(-1)
+    return cluster.reshape(-1), np.unique(stratum[first], return_inverse=True)[1].reshape(-1)
 
 
 def _mean_of_means(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Mean over the groups that a resample holds, (R,), of sums and counts (R, G)."""
+    """Returns the mean (R,) over the groups in each resample, of sums and counts (R, G)."""
     means = sums / np.maximum(counts, 1)
     return (means * (counts > 0)).sum(1) / np.maximum((counts > 0).sum(1), 1)
 
 
 def _numbered(labels: Sequence[Hashable]) -> np.ndarray:
-    """Labels as numbers from 0, in the order in which they appear."""
+    """Returns labels as numbers from 0, in order of appearance."""
     numbers: dict[Hashable, int] = {}
     return np.array([numbers.setdefault(label, len(numbers)) for label in labels])

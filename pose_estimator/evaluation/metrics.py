@@ -1,4 +1,4 @@
-"""How far an estimated pose is from the true one.
+"""Errors of estimated poses: ADD and ADD-S.
 
 ADD is Hinterstoisser et al., ACCV 2012 (equation 4); ADD-S, for symmetric objects, is its nearest
 point form (equation 5), with the argument order of the BOP toolkit. A pose counts as correct when
@@ -22,14 +22,7 @@ CORRECT = 0.1
 
 
 class MeasuredObject(Protocol):
-    """What ADD(-S) asks of an object.
-
-    Attributes:
-        name: what it is called.
-        points: (P, 3) in its own frame, meters.
-        diameter: meters.
-        symmetric: whether ADD-S is the measure.
-    """
+    """An object with surface points (P, 3) in its own frame and a diameter, in meters."""
 
     @property
     def name(self) -> str: ...
@@ -51,7 +44,7 @@ def add(T_est: np.ndarray, T_true: np.ndarray, points: np.ndarray) -> float:
         points: model points in the object's frame, (P, 3), meters.
 
     Returns:
-        ADD in meters.
+        Meters.
 
     Raises:
         InputError: if a pose is not rigid or the points are not (P, 3) with P > 0.
@@ -70,22 +63,12 @@ def add_s(
 ) -> float:
     """Mean distance from each point under the true pose to the nearest under the estimate (ADD-S).
 
-    Args:
-        T_est: estimated T_cam_obj, (4, 4).
-        T_true: true T_cam_obj, (4, 4).
-        points: model points in the object's frame, (P, 3), meters.
-        tree: an index of ``points``, if the caller keeps one.
-
-    Returns:
-        ADD-S in meters.
-
-    Raises:
-        InputError: if a pose is not rigid or the points are not (P, 3) with P > 0.
+    Arguments and errors are those of :func:`add`; ``tree`` is an index of ``points``, if there is
+    one already.
     """
     T_est, T_true = _check_poses(T_est, T_true)
     points = _check_points(points)
-    # Distances do not change under a rigid motion, so the search runs in the object's own frame
-    # (of the estimate), where one index serves every pose.
+    # The search runs in the object's frame (of the estimate), where one index serves every pose.
     motion = invert(T_est) @ T_true
     return (NearestPoints(points) if tree is None else tree).mean_distance(motion)
 
@@ -93,51 +76,43 @@ def add_s(
 def add_or_add_s(T_est: np.ndarray, T_true: np.ndarray, object_model: MeasuredObject) -> float:
     """ADD(-S): ADD-S for a symmetric object and ADD for any other, in meters.
 
-    Args:
-        T_est: estimated T_cam_obj, (4, 4).
-        T_true: true T_cam_obj, (4, 4).
-        object_model: the object; its ``points`` are measured.
-
     Raises:
-        InputError: if a pose is not rigid, or the object's surface is not known.
+        InputError: if a pose is not rigid, or the object has no surface points.
     """
     if not len(object_model.points):
         raise InputError(
-            f"the surface of {object_model.name} is not stored with the weights, and ADD is taken "
-            "on it: use the object of a mesh file, or a dataset that has models"
+            f"ADD needs the surface of {object_model.name}, which is not stored with the weights: "
+            "use the object of a mesh file, or a dataset that has models"
         )
     if object_model.symmetric:
         return add_s(T_est, T_true, object_model.points, tree=_surface_index(object_model))
     return add(T_est, T_true, object_model.points)
 
 
-def nearest_symmetric_pose(
-    T_est: np.ndarray, T_true: np.ndarray, object_model: ObjectModel
-) -> np.ndarray:
-    """The symmetry-equivalent of ``T_true`` whose keypoints are nearest to the estimate's, (4, 4).
+def nearest_symmetric_pose(T_est: np.ndarray, T_true: np.ndarray, model: ObjectModel) -> np.ndarray:
+    """Returns the symmetry-equivalent of ``T_true`` with the nearest keypoints, (4, 4).
 
     Raises:
         InputError: if a pose is not rigid.
     """
     T_est, T_true = _check_poses(T_est, T_true)
-    candidates = T_true @ object_model.symmetries
-    estimated = transform(T_est, object_model.keypoints)
-    errors = [
-        _distances(estimated, transform(T, object_model.keypoints)).mean() for T in candidates
-    ]
-    return candidates[int(np.argmin(errors))]
+    distances = _equivalent_distances(transform(T_est, model.keypoints), T_true, model)
+    return (T_true @ model.symmetries)[int(np.argmin([d.mean() for d in distances]))]
 
 
 def keypoint_distances(keypoints: np.ndarray, T_true: np.ndarray, model: ObjectModel) -> np.ndarray:
-    """Distance (9,) in meters of estimated 3D keypoints (9, 3) from the true ones.
+    """Returns the distances (9,) in meters of estimated 3D keypoints (9, 3) from the true ones.
 
-    Of the poses that are equivalent to ``T_true`` under the object's symmetries, the one whose
-    keypoints are nearest in the mean counts.
+    The symmetry-equivalent of ``T_true`` with the smallest mean distance counts.
     """
-    distances = [
-        _distances(keypoints, transform(T_true @ S, model.keypoints)) for S in model.symmetries
-    ]
-    return min(distances, key=np.mean)
+    return min(_equivalent_distances(keypoints, T_true, model), key=np.mean)
+
+
+def _equivalent_distances(
+    keypoints: np.ndarray, T_true: np.ndarray, model: ObjectModel
+) -> list[np.ndarray]:
+    truths = (transform(T_true @ S, model.keypoints) for S in model.symmetries)
+    return [_distances(keypoints, truth) for truth in truths]
 
 
 @lru_cache(maxsize=128)

@@ -1,11 +1,9 @@
-"""The nearest of a set of points to the same points moved: what ADD-S asks, again and again.
+"""Mean distance from moved points to their nearest neighbors in the unmoved ones, for ADD-S.
 
-Distances do not change under a rigid motion, so one index of the points serves every pose. FLANN's
-single k-d tree (exact, in OpenCV) finds the neighbors about twice as quickly as SciPy's, but in
-single precision; the distances to what it found are then taken in double precision. It can prefer a
-neighbor that is farther by the rounding, 1e-8 of the points' extent; few do, and the mean of
-thousands of distances moves by some 1e-12 m at most. Motions that carry the points so far away that
-their coordinates would be rounded coarsely are left to SciPy.
+FLANN's single k-d tree (exact, in OpenCV) finds neighbors about twice as fast as SciPy's, but in
+single precision; the distances to them are then computed in double precision. Rounding (1e-8 of the
+extent) can select another neighbor, which moves the mean of thousands by 1e-12 m at most. For large
+motions, whose coordinates would be rounded coarsely, SciPy is used.
 """
 
 from __future__ import annotations
@@ -18,17 +16,17 @@ _LEAF = 8
 """Points in a leaf of FLANN's tree; 6 to 10 were fastest for 1,000 and 5,000 points."""
 
 _FAR_LEAF = 32
-"""Points in a leaf of SciPy's tree, where everything is far away."""
+"""Points in a leaf of SciPy's tree."""
 
 _SINGLE_KD_TREE, _UNLIMITED = 4, -1
 """FLANN_INDEX_KDTREE_SINGLE and FLANN_CHECKS_UNLIMITED, which OpenCV's Python does not name."""
 
-_FAR = 1.5
-"""Motion of the points' center, in radii of the points, from which on it is far."""
+_MAX_SHIFT = 1.5
+"""Largest motion of the points' center for FLANN, in radii of the points."""
 
 
 class NearestPoints:
-    """An index of points.
+    """A nearest-neighbor index of points.
 
     Args:
         points: (P, 3) with P > 0, meters.
@@ -42,25 +40,21 @@ class NearestPoints:
         self._center = points.mean(axis=0)
         centered = points - self._center
         self._tree = cKDTree(centered, _FAR_LEAF, balanced_tree=False)
-        # In the order of a tree, so that queries that follow each other walk the same branches.
+        # In the order of the tree: successive queries walk the same branches, which is faster.
         self._points = centered[self._tree.indices]
         self._radius = float(np.linalg.norm(centered, axis=1).max())
         single = self._points.astype(np.float32)
         config = {"algorithm": _SINGLE_KD_TREE, "leaf_max_size": _LEAF}
         self._index = cv2.flann_Index(single, config)  # type: ignore[attr-defined]
-        self._kept = single  # whose memory the index reads
+        self._single = single  # the index reads its memory
 
     def mean_distance(self, T: np.ndarray) -> float:
-        """Mean distance in meters from each of the points, moved by T, to the nearest unmoved.
-
-        Args:
-            T: rigid motion, (4, 4).
-        """
+        """Returns the mean distance (m) from the points, moved by T (4, 4), to the unmoved ones."""
         R = T[:3, :3]
         shift = R @ self._center + T[:3, 3] - self._center
         moved = self._points @ R.T
         moved += shift
-        if not np.linalg.norm(shift) <= _FAR * self._radius:
+        if not np.linalg.norm(shift) <= _MAX_SHIFT * self._radius:
             return float(self._tree.query(moved)[0].mean())
         found, _ = self._index.knnSearch(moved.astype(np.float32), 1, params={"checks": _UNLIMITED})
         moved -= self._points[found[:, 0]]

@@ -1,4 +1,4 @@
-"""Ground-truth regions of interest: analyses that leave the detector out."""
+"""Ground-truth (oracle) regions of interest, for analyses without the detector."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from ...core.geometry import View
 from ..types import Roi, roi_of_pose
 
 NOISE = {"truth": (0.0, 0.0), "noisy": (0.04, 0.012)}
-"""Standard deviations of the center in meters, in depth and sideways, by the option's value."""
+"""Value of ``--roi`` -> standard deviations of the center in depth and sideways, meters."""
 
 
 @dataclass(frozen=True)
 class GroundTruthRois:
-    """Makes regions of interest from the true poses.
+    """Makes regions of interest from true poses.
 
     Attributes:
         scale: side in diameters.
         depth_noise: standard deviation of the center's depth, meters.
-        side_noise: the same sideways, meters.
+        side_noise: that in x and in y, meters.
         seed: of the noise.
     """
 
@@ -33,13 +33,13 @@ class GroundTruthRois:
     def make(
         self, T_cam_obj: Sequence[np.ndarray], views: Sequence[View], diameter: float, number: int
     ) -> list[Roi]:
-        """One region for each view.
+        """Returns one region for each view.
 
         Args:
             T_cam_obj: the true pose in each view, (4, 4) each.
             views: images and cameras.
             diameter: of the object, meters.
-            number: of the pair; with the seed it determines the noise.
+            number: of the pair; determines the noise together with the seed.
         """
         rng = np.random.default_rng([self.seed, number])
         spread = (self.side_noise, self.side_noise, self.depth_noise)

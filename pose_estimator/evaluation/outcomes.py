@@ -1,8 +1,4 @@
-"""The outcomes of an evaluation, pair by pair, and the results that summarize them.
-
-Where a file of poses is scored, there is an outcome for each target instead, without what only an
-estimator that runs here can tell: its keypoints and its time.
-"""
+"""The outcomes of an evaluation, pair by pair, and the results that summarize them."""
 
 from __future__ import annotations
 
@@ -18,24 +14,24 @@ from .intervals import bootstrap_interval
 from .metrics import CORRECT
 
 _MEAN_QUANTILES = (0.025, 0.975)
-"""Those of ``intervals`` but for rounding, which the last digit of an interval would show."""
+"""As in ``intervals``, but rounded: the last digit of an interval depends on it."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One pair of views, estimated.
+    """The result for one target in a pair of views, or in an image of a scored result file.
 
     Attributes:
         object_name: the target.
         error: ADD, or ADD-S for symmetric objects, in diameters; infinite without an estimate.
-        keypoint_distance: mean distance of the 3D keypoints from the truth, m, where known.
-        seconds: that the estimate took, where known.
-        baseline: angle between the views as seen from the object, degrees; 0 for a single view.
+        keypoint_distance: mean error of the 3D keypoints, m; None for a result file.
+        seconds: runtime; None for a result file.
+        baseline: angle between the views at the object, degrees; 0 for a single view.
         visibility: of the target in the reference view, 0 to 1.
-        score: the detector's, in the reference view.
-        gap: frames between the views, where they are of one sequence.
-        estimate: the pose in the reference view, as result files have it.
-        uncertainty: standard deviation of the keypoints that the estimator claims, m.
+        score: detection confidence in the reference view.
+        gap: frames between the views of a sequence.
+        estimate: the pose in the reference view, as a row of a result file.
+        uncertainty: predicted standard deviation of the keypoints, m.
     """
 
     object_name: str
@@ -51,9 +47,9 @@ class Outcome:
 
 
 def summarize(outcomes: Sequence[Outcome], tags: Mapping[str, Any], seed: int = 0) -> list[dict]:
-    """Records of the results file: each measure for each object, and the mean over the objects.
+    """Returns records of each metric for each object, and of the mean over the objects.
 
-    A measure that is not known of every outcome is left out.
+    A metric that is not known for every outcome is left out.
 
     Raises:
         InputError: if there are no outcomes.
@@ -90,7 +86,7 @@ def summarize(outcomes: Sequence[Outcome], tags: Mapping[str, Any], seed: int = 
 
 
 def print_table(records: Sequence[Mapping[str, Any]], title: str, counted: str = "pairs") -> None:
-    """Prints the results of :func:`summarize` for people; ``counted`` says of what they are."""
+    """Prints the records of :func:`summarize` as a table; ``counted`` names what ``n`` counts."""
     from rich.console import Console
     from rich.table import Table
 
@@ -118,4 +114,4 @@ def print_table(records: Sequence[Mapping[str, Any]], title: str, counted: str =
     Console().print(table)
     for record in records:
         if record["metric"] == "seconds_per_pair":
-            print(f"{1000 * record['value']:.0f} ms a pair (median)")
+            print(f"{1000 * record['value']:.0f} ms per pair (median)")

@@ -1,4 +1,4 @@
-"""Scores the poses of a result file of any method."""
+"""Scores a BOP result file of any method."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .outcomes import Outcome, print_table, summarize
 
 
 def score_file(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]) -> list[dict]:
-    """Scores the file ``config.score`` on the dataset at ``root``, prints and writes the results.
+    """Scores ``config.score`` on the dataset at ``root``, prints and writes the results.
 
     Raises:
         InputError: if the file or the dataset is not usable; the message names file and line.
@@ -35,16 +35,16 @@ def score_file(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]) -> l
     results = read_bop_results(config.score, images, objects)
     targets = read_targets(dataset)
     outcomes = score_results(results, targets, truths, objects)
-    # BOP's names of files begin with the method's, METHOD_DATASET-SPLIT.csv.
+    # BOP names files METHOD_DATASET-SPLIT.csv.
     tags = {"method": config.score.stem.split("_")[0], **tags}
     records = summarize(outcomes, tags, config.seed)
     print_table(records, ", ".join(map(str, tags.values())), counted="targets")
     asked = {target[:3] for target in targets}
     missing = sum(np.isinf(outcome.error) for outcome in outcomes)
-    stray = sum(result.target not in asked for result in results)
+    extra = sum(result.target not in asked for result in results)
     print(f"{missing} targets have no estimate and count as wrong")
-    if stray:
-        print(f"{stray} estimates are of no target and do not count")
+    if extra:
+        print(f"{extra} estimates are of no target and do not count")
     if config.json is not None:
         command = f"evaluate --score {config.score} --data {config.data} --split {config.split}"
         write_results(config.json, records, command=command, seed=config.seed)
@@ -57,24 +57,24 @@ def score_results(
     truths: Mapping[tuple[int, int], Sequence[BopAnnotation]],
     objects: Mapping[int, EvaluationObject],
 ) -> list[Outcome]:
-    """Compares estimates with the truth.
+    """Compares estimates with the ground truth.
 
-    Of each target as many estimates count as there are instances, those of the highest scores.
-    Of the true instances the most visible count, and each estimate answers for one of them, as in
-    bop_toolkit's ``pose_matching``: by falling score each takes the nearest that is free. What is
-    below a tenth of the diameter is given away first.
+    For each target the estimates of highest score count, one for each instance, and the most
+    visible instances. They are matched greedily as in bop_toolkit's ``pose_matching``: by
+    decreasing score each takes the nearest free instance, first only those below a tenth of the
+    diameter.
 
     Args:
         results: of any method.
-        targets: what is to be found.
+        targets: with their numbers of instances.
         truths: (scene id, image id) -> annotations.
         objects: obj_id -> object.
 
     Returns:
-        One outcome for each instance to be found; its error is infinite where no estimate is left.
+        One outcome for each instance; its error is infinite where it has no estimate.
 
     Raises:
-        InputError: if the dataset does not have a target's image, object or true pose.
+        InputError: if the dataset lacks a target's image, object or true pose.
     """
     of_target: dict[tuple[int, int, int], list[BopResult]] = {}
     for result in results:
@@ -92,31 +92,19 @@ def score_results(
                 "can be scored only where the truth is public"
             )
         instances.sort(key=lambda a: -a.visibility)
-        instances = instances[: target.instances]
-        estimates = sorted(of_target.get(target[:3], []), key=lambda e: -e.score)[
-            : target.instances
-        ]
-        model = objects[target.obj_id]
-        for truth, estimate, error in _matched(estimates, instances, model):
-            outcomes.append(
-                Outcome(
-                    object_name=model.name,
-                    error=error,
-                    keypoint_distance=None,
-                    seconds=None,
-                    baseline=0.0,
-                    visibility=truth.visibility,
-                    score=0.0 if estimate is None else estimate.score,
-                    estimate=estimate,
-                )
-            )
+        estimates = sorted(of_target.get(target[:3], []), key=lambda e: -e.score)
+        model, count = objects[target.obj_id], target.instances
+        for truth, estimate, error in _matched(estimates[:count], instances[:count], model):
+            score = 0.0 if estimate is None else estimate.score
+            known = model.name, error, None, None, 0.0, truth.visibility, score
+            outcomes.append(Outcome(*known, estimate=estimate))
     return outcomes
 
 
 def _matched(
     estimates: Sequence[BopResult], instances: Sequence[BopAnnotation], model: EvaluationObject
 ) -> Iterator[tuple[BopAnnotation, BopResult | None, float]]:
-    """Each instance with its estimate, if any, and the error in diameters."""
+    """Yields each instance with its estimate, if any, and the error in diameters."""
     errors = np.full((len(estimates), len(instances)), np.inf)
     for e, estimate in enumerate(estimates):
         for i, truth in enumerate(instances):

@@ -1,4 +1,4 @@
-"""Several estimates at once, of any estimator: ours answer batches, others one by one."""
+"""Batches of requests to any estimator, with or without ``estimate_batch``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ...core.geometry import View
 from ..types import PoseEstimate, Roi
 
 _BATCH = 8
-"""Requests for an estimator that answers batches and does not say how large."""
+"""For an estimator with ``estimate_batch`` and without a ``batch_size``."""
 
 
 def estimate_all(
@@ -17,12 +17,12 @@ def estimate_all(
     requests: Sequence[tuple[Sequence[View], str]],
     rois: Sequence[Sequence[Roi]] | None = None,
 ) -> list[PoseEstimate]:
-    """The answer to each of several requests: all at once if the estimator can.
+    """Estimates each request, in one batch if the estimator can.
 
     Args:
         estimator: has ``estimate``, and perhaps ``estimate_batch``.
-        requests: views, the reference first, and the name of the object to look for.
-        rois: regions of each request's views, instead of where a detector would look.
+        requests: views, the reference first, and the object's name.
+        rois: regions of interest of each request's views, instead of the detector's.
     """
     given = () if rois is None else (list(rois),)
     batch = getattr(estimator, "estimate_batch", None)
@@ -36,7 +36,6 @@ def estimate_all(
 
 
 def batch_size(estimator: Any) -> int:
-    """How many requests an estimator wants at once: as many as it says, else 8, or 1 by 1."""
-    return int(
-        getattr(estimator, "batch_size", _BATCH if hasattr(estimator, "estimate_batch") else 1)
-    )
+    """Returns the estimator's own batch size, else 8 with ``estimate_batch`` and 1 without."""
+    default = _BATCH if hasattr(estimator, "estimate_batch") else 1
+    return int(getattr(estimator, "batch_size", default))

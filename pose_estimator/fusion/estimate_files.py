@@ -18,6 +18,7 @@ from ...core.geometry import LINEMOD_K, View, check_intrinsics, check_rigid
 from ...core.images import read_image
 from ...core.results import write_results
 from ..input_files import read_depth_map, read_matrix
+from ..methods import METHOD_TABLE, find_method
 
 if TYPE_CHECKING:
     from ..types import PoseEstimate
@@ -97,10 +98,11 @@ def read_views(config: EstimateConfig) -> list[View]:
     """
     if (config.second is None) != (config.relative_pose is None):
         raise InputError("second and relative_pose go together: give both, or neither for one view")
-    if (config.method == "rgbd") != (config.depth is not None):
+    if find_method(config.method).needs_depth != (config.depth is not None):
+        needing = " or ".join(m.name for m in METHOD_TABLE.values() if m.needs_depth)
         raise InputError(
-            "depth and the method rgbd go together: rgbd needs a depth map of the reference "
-            f"photograph, and no other method looks at one (method is {config.method})"
+            f"depth and the method {needing} go together: it needs a depth map of the reference "
+            f"image, and no other method uses one (method is {config.method})"
         )
     K = parse_intrinsics(config.K)
     depth = None if config.depth is None else read_depth_map(config.depth, config.depth_unit)

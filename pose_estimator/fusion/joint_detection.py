@@ -1,9 +1,8 @@
-"""Where an object is in several views at once: one place in space, not the best of each image.
+"""Associates detections of an object across views by their position in space.
 
-Each view's heat map has several peaks. In one image alone a neighbor may look more like the
-object than the object, half hidden, does; but it does not stand where the other image has its own
-neighbor. Peaks of two views belong together if one point in space explains both: their rays meet,
-at a depth that fits the sizes of both regions.
+Each view's heat map has several peaks, and a distractor may score higher than the occluded object
+in one of them. Peaks of two views match if one point in space explains both: their rays meet at a
+depth that fits the sizes of both regions.
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ _CENTER_STD = 0.12
 """Standard deviation of a region's center in sides of the region."""
 
 _MAX_COST = 16.0
-"""Squared deviations from which two regions have nothing to do with each other."""
+"""Squared deviations are clipped here: the two regions do not match."""
 
 _DEPTHS = np.exp(np.linspace(-0.8, 0.8, 65))
-"""Depths that are tried along a ray, as factors of the one that the region's size means."""
+"""Depths along a ray, relative to the depth from the region's size."""
 
 
 def associate_detections(
     candidates: Sequence[Sequence[Roi]], views: Sequence[View], diameter: float, scale: float
 ) -> list[int]:
-    """Picks one candidate of each view so that all are sure and consistently labeled.
+    """Picks one candidate of each view, so that scores are high and positions consistent.
 
     Args:
         candidates: regions of each view, at least one.
@@ -41,7 +40,7 @@ def associate_detections(
         scale: side of a region in diameters.
 
     Returns:
-        The number of the candidate in each view.
+        The index of the candidate in each view.
     """
     first, *others = candidates
     total = np.log(np.maximum([roi.score for roi in first], 1e-6))
@@ -59,20 +58,16 @@ def associate_detections(
 def refine_roi_scales(
     regions: Sequence[Roi], views: Sequence[View], diameter: float, scale: float
 ) -> list[Roi]:
-    """The same regions with the sides that an object has where the rays of their centers meet.
+    """Corrects the sides of regions by the depth at which the rays of their centers meet.
 
-    A detector is off by a tenth in a region's size, and more in images unlike those that it was
-    trained on. Its centers, seen from two places, tell the distance better: on photographs of
-    Linemod-Occluded, sides were 12 percent off before and 3 after.
+    The detector's sides are a tenth off, and more on images unlike its training data; triangulated
+    centers are better: on Linemod-Occluded, sides were 12 percent off before and 3 after.
 
     Args:
-        regions: one for each view.
-        views: the reference first; their cameras are known.
-        diameter: of the object, meters.
-        scale: side of a region in diameters.
+        regions: one for each view; the other arguments are as above.
 
     Returns:
-        A region for each view; as it was where nothing explains it together with the reference's.
+        A region for each view, unchanged where it does not match the reference's.
     """
     first, *others = regions
     pairs = [
@@ -97,32 +92,29 @@ def association_costs(
     diameter: float,
     scale: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How badly one point in space explains two regions, at each depth along the first's ray.
+    """Computes how badly one point explains two regions, at depths along the first's ray.
 
     Args:
-        firsts: A regions of ``view``.
-        seconds: B regions of ``other``.
-        view: image and camera.
-        other: image and camera.
-        diameter: of the object, meters.
-        scale: side of a region in diameters.
+        firsts, seconds: A regions of ``view`` and B regions of ``other``.
+        view, other: images and cameras.
+        diameter, scale: as above.
 
     Returns:
-        The sum of squared deviations (A, B, D) at each of ``_DEPTHS``, 0 for what regions of one
-        object have, 16 at most; and the depth (A, D) in the other camera, meters.
+        Sums of squared deviations (A, B, D) at each of ``_DEPTHS``, 16 at most; and the depths
+        (A, D) in the other camera, meters.
     """
     expected = np.array([depth_of_roi(roi, view.K, diameter, scale) for roi in firsts])
     rays = np.array([(*roi.center, 1.0) for roi in firsts]) @ np.linalg.inv(view.K).T
     points = (expected[:, None] * _DEPTHS)[..., None] * rays[:, None]
     seen = transform(other.T_cam_world @ invert(view.T_cam_world), points)
     before = seen[..., 2] > 0.05
-    # What lies behind the camera is put before it, and not counted in the end.
+    # Points behind the camera are moved in front of it, and masked in the end.
     safe = np.where(before[..., None], seen, (0.0, 0.0, 1.0))
     pixels = project(safe, other.K)
     centers = np.array([roi.center for roi in seconds])
     sides = np.array([roi.side for roi in seconds])
     depths = np.array([depth_of_roi(roi, other.K, diameter, scale) for roi in seconds])
-    # Both centers are uncertain; the first's is carried over at the second's size.
+    # Both centers are uncertain; the first's deviation is taken at the second's size.
     off = pixels[:, None] - centers[:, None]
     off /= (np.sqrt(2) * _CENTER_STD * sides)[:, None, None]
     deviations = (

@@ -1,4 +1,4 @@
-"""``late``: every view votes for its own 2D keypoints, and these are triangulated."""
+"""``late``: each view votes for 2D keypoints, which are triangulated."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .two_view import Sighting, TwoViewEstimator
 
 
 class LateFusionEstimator(TwoViewEstimator):
-    """Late Fusion: the views meet only in the triangulation of their voted keypoints."""
+    """Late Fusion: triangulates the voted keypoints of the views."""
 
     def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
         return [self._triangulated(sighting) for sighting in sightings]

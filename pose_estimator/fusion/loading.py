@@ -1,4 +1,4 @@
-"""Estimators with trained weights, by the name of their method."""
+"""Loads estimators with trained weights, by method."""
 
 from __future__ import annotations
 
@@ -27,30 +27,25 @@ def load(
     """Loads an estimator with trained weights.
 
     Args:
-        method: ``single`` (one view), ``early`` (a depth map from two views), ``late``
-            (triangulated votes), ``mid`` (Mid-Fusion of two views) or ``rgbd`` (one view and a
-            depth sensor).
+        method: one of ``METHODS``: ``single``, ``early``, ``late``, ``mid`` or ``rgbd``.
         weights: name of shipped weights, or a path to a ``.safetensors`` file.
-        preset: of the volumes, ``fast`` or ``paper``, where it has to be a certain one; None takes
-            what the weights were trained for.
-        solver: from 3D keypoints to the pose, one of ``solvers.SOLVERS``.
-        device: where the networks run: ``auto`` (a GPU where there is one), ``cpu``, ``cuda``,
-            ``cuda:N`` or ``mps``.
-        threads: how many threads of the processor an estimate may use; 0: all cores.
+        preset: of the volumes, ``fast`` or ``paper``, to require; None accepts either.
+        solver: from 3D keypoints to the pose, ``soft``, ``kabsch`` or ``hard``.
+        device: ``auto`` (a GPU where there is one), ``cpu``, ``cuda``, ``cuda:N`` or ``mps``.
+        threads: CPU threads that an estimate may use; 0: all cores.
 
     Returns:
         An object with ``estimate(views, object_name)`` and ``object_names``.
 
     Raises:
-        InputError: if the method, preset, solver or device is unknown, there is no such device,
-            threads is negative, or the weights are damaged, were trained for another preset, or
-            lack what the method needs.
+        InputError: if an argument is invalid, there is no such device, or the weights are
+            corrupted, were trained for another preset, or lack what the method needs.
         FileNotFoundError: if there are no such weights.
     """
     chosen = find_method(method)
     if threads < 0:
-        raise InputError(f"threads must be at least 0, got {threads}")
-    # These import torch, which the rest of the package must not do.
+        raise InputError(f"threads must be >= 0, got {threads}")
+    # These import torch, which importing the package must not do.
     from ...core.device import resolve_device
     from ..networks.volume import PRESETS
     from ..networks.weights import load_networks

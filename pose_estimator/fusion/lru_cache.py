@@ -1,4 +1,4 @@
-"""A cache of what was computed for the views used last."""
+"""An LRU cache of results for views."""
 
 from __future__ import annotations
 
@@ -12,13 +12,10 @@ T = TypeVar("T")
 
 
 class LruCache(Generic[T]):
-    """Keeps the least recently used entries out; safe for threads.
+    """Drops the least recently used entries beyond ``maxsize``, which may change; thread-safe.
 
-    Views are compared by identity, since two equal images may be two measurements, and hashing the
-    pixels would cost more than it saves. This is what ``functools.lru_cache`` cannot do.
-
-    Args:
-        maxsize: how many entries are kept; may be raised later.
+    Views are compared by identity, which ``functools.lru_cache`` cannot do: hashing their pixels
+    would cost more than it saves.
     """
 
     def __init__(self, maxsize: int) -> None:
@@ -27,7 +24,7 @@ class LruCache(Generic[T]):
         self._lock = threading.Lock()
 
     def get(self, view: View, key: Any = None) -> T | None:
-        """What was put under a view and a key, or None."""
+        """Returns the value stored for a view and a key, or None."""
         with self._lock:
             if (id(view), key) not in self._entries:
                 return None
@@ -37,7 +34,7 @@ class LruCache(Generic[T]):
     def put(self, view: View, key: Any, value: T) -> None:
         """Stores ``value``, and drops the entries beyond ``maxsize``."""
         with self._lock:
-            # The view is held, so that no other one has its identity.
+            # Holding the view keeps its id from being reused.
             self._entries[id(view), key] = view, value
             while len(self._entries) > self.maxsize:
                 self._entries.popitem(last=False)

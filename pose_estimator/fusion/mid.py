@@ -1,7 +1,7 @@
-"""``mid``: the pose from two (or more) views, fused in a volume of features.
+"""``mid``: Mid-Fusion of two (or more) views in a feature volume.
 
-The keypoints of the volume are solved for the pose. A volume of 16 voxels a side cannot be as sharp
-as the votes of images, so the pose is then refined to explain both: keypoints in space and votes.
+The solver gets the volume's keypoints. Since 16 voxels a side are coarser than the 2D votes, the
+pose is then refined with both.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from .symmetry_agreement import (
 from .two_view import Sighting, TwoViewEstimator
 
 _MIN_STD = 0.02
-"""Standard deviation in diameters that the volume's keypoints are believed at best."""
+"""Added to the standard deviation of the volume's keypoints, in diameters."""
 
 
 class MidFusionEstimator(TwoViewEstimator):
-    """Mid-Fusion: every view's features, lifted into one volume around the object."""
+    """Mid-Fusion: lifts every view's features into one volume around the object."""
 
     def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
         volumes, before = [], []
@@ -48,7 +48,7 @@ class MidFusionEstimator(TwoViewEstimator):
         ]
 
     def _maps(self, agreed: Sequence[EncodedView]) -> ViewMaps:
-        """What the views bring to the volume, a batch of one."""
+        """Returns the volume's input, a batch of one."""
         tensor = self.inference.tensor
         T_ref_world = invert(agreed[0].view.T_cam_world)
         projections = [e.K_grid @ (e.view.T_cam_world @ T_ref_world)[:3] for e in agreed]
@@ -67,14 +67,9 @@ class MidFusionEstimator(TwoViewEstimator):
         keypoints: np.ndarray,
         covariance: np.ndarray,
     ) -> PoseEstimate:
-        """The pose that explains the volume's keypoints and the votes.
+        """Fits the pose to the volume's keypoints (9, 3) and the votes.
 
-        Args:
-            sighting: the views as they voted.
-            agreed: the views, consistently labeled (see :func:`resolve_symmetry_ambiguity`).
-            joint: the pose (4, 4) from the votes alone.
-            keypoints: the volume's, (9, 3) in the reference camera, m.
-            covariance: theirs, (9, 3, 3).
+        ``joint`` is the pose from the votes alone, the answer if the depth is not consistent.
         """
         model = self.networks.objects[sighting.object_name]
         solved = self.answer(sighting, keypoints, covariance, weigh=False)

@@ -1,4 +1,4 @@
-"""``rgbd``: the pose from one image and a depth sensor's map of it, the study's reference."""
+"""``rgbd``: the pose from one image and its depth map, the study's reference method."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from .two_view import Sighting, TwoViewEstimator
 
 
 class RgbdEstimator(TwoViewEstimator):
-    """Points of the sensor's depth vote for the keypoints; further views are ignored.
+    """Points of the depth map vote for the keypoints; further views are ignored.
 
-    Like the fusions of views it looks twice: the first pose crops the image again. Where the
-    sensor sees next to nothing of the object, it answers as ``single`` does.
+    Like the fusions it has a second pass on a new crop. With too few points on the object it
+    returns the result of ``single``.
     """
 
     def estimate_batch(
@@ -33,10 +33,7 @@ class RgbdEstimator(TwoViewEstimator):
         self.targets(requests, rois)  # raises for all views what is wrong with any
         for views, _ in requests:
             if views[0].depth is None:
-                raise InputError(
-                    "rgbd needs the depth of the reference view: give View.depth, a map (height, "
-                    "width) of meters, or use a method that needs none"
-                )
+                raise InputError("rgbd needs the depth of the reference view (View.depth)")
         references = [(views[:1], name) for views, name in requests]
         sightings = self.encode_views(references, None if rois is None else [r[:1] for r in rois])
         first = self.fuse(sightings)
@@ -48,7 +45,7 @@ class RgbdEstimator(TwoViewEstimator):
         return answers
 
     def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
-        """The poses from the depths of encoded views; ``first`` where one shows too few points."""
+        """Returns poses from the depth of encoded views; ``first`` where points are too few."""
         answers = [sighting.first for sighting in sightings]
         found = self.inference.in_batches(self._vote, sightings)
         for n, (sighting, votes) in enumerate(zip(sightings, found, strict=True)):
@@ -57,17 +54,17 @@ class RgbdEstimator(TwoViewEstimator):
         return answers
 
     def _vote(self, sightings: Sequence[Sighting]) -> list[tuple[np.ndarray, np.ndarray] | None]:
-        """Keypoints (9, 3) and covariances (9, 3, 3) of each; None where there are few points."""
+        """Returns keypoints (9, 3) and covariances (9, 3, 3); None where points are too few."""
         tensor = self.inference.tensor
         references = [sighting.encoded[0] for sighting in sightings]
-        cuts = [self._cut(reference) for reference in references]
+        crops = [self._crop_depth(reference) for reference in references]
         names = [sighting.object_name for sighting in sightings]
         diameter = tensor(np.array([self.networks.objects[name].diameter for name in names]))
         mask = tensor(np.stack([r.mask for r in references]))
         cloud = sample_points(
-            tensor(np.stack([depth for depth, _ in cuts])),
+            tensor(np.stack([depth for depth, _ in crops])),
             mask,
-            tensor(np.stack([K for _, K in cuts])),
+            tensor(np.stack([K for _, K in crops])),
             diameter,
             self.networks.points.config.points,
             [torch.Generator("cpu").manual_seed(0) for _ in sightings],
@@ -85,8 +82,8 @@ class RgbdEstimator(TwoViewEstimator):
         parts = zip(as_array(votes.keypoints), as_array(votes.covariance), strict=True)
         return [part if known else None for known, part in zip(enough, parts, strict=True)]
 
-    def _cut(self, reference: EncodedView) -> tuple[np.ndarray, np.ndarray]:
-        """The depth of a view's crop, (S, S) m, and the crop's camera (3, 3)."""
+    def _crop_depth(self, reference: EncodedView) -> tuple[np.ndarray, np.ndarray]:
+        """Returns the depth of a view's crop, (S, S) m, and the crop's camera (3, 3)."""
         config = self.networks.features.config
         to_crop = np.linalg.inv(reference.to_image @ grid_matrix(config.stride))
         assert reference.view.depth is not None

@@ -17,29 +17,28 @@ from ..types import PoseEstimate, Roi, depth_of_roi
 from .frontend import EncodedView, Frontend, Target
 
 _MAX_DEPTH_RATIO = 2.0
-"""Factor between the depths of a pose and of its region from which the pose is not believed; the
-detector misjudges the size of a region by less than ten percent."""
+"""Between the depths of a pose and of its region; above, the pose is rejected. The detector's error
+of a region's size is less than ten percent."""
 
 
 Request = tuple[Sequence[View], str]
-"""Views, the reference first, and the name of the object to look for."""
+"""Views, the reference first, and the object's name."""
 
 
 class SingleViewEstimator:
-    """Pose from the reference view alone; further views are ignored.
+    """Estimates the pose from the reference view alone; further views are ignored.
 
     Args:
-        networks: with their weights, on the device that is to be used; set to evaluation mode.
-        solver: from 3D keypoints to the pose, one of ``solvers.SOLVERS``, for the estimators that
-            have 3D keypoints; one view alone is solved by PnP.
-        threads: of the processor; 0: as many as there are cores.
+        networks: with their weights, on their device; set to evaluation mode.
+        solver: of the subclasses, from 3D keypoints to the pose; a single view is solved by PnP.
+        threads: CPU threads; 0: all cores.
 
     Raises:
         InputError: if the solver is unknown.
     """
 
     thread_safe = True
-    """Several threads may ask at the same time."""
+    """Several threads may call it at the same time."""
 
     def __init__(self, networks: PoseNetworks, solver: str = "soft", threads: int = 0):
         self.networks = networks.eval()
@@ -49,49 +48,39 @@ class SingleViewEstimator:
 
     @property
     def batch_size(self) -> int:
-        """Requests at once from which on none gets quicker: they keep all cores, or a GPU, busy."""
+        """Requests in a batch that keep all CPU cores, or a GPU, busy."""
         return 8 if self.inference.device.type == "cpu" else 64
 
     @property
     def object_names(self) -> tuple[str, ...]:
-        """The objects that the weights know."""
+        """Names of the objects that the weights know."""
         return tuple(self.networks.objects)
 
     def estimate(
         self, views: Sequence[View], object_name: str, rois: Sequence[Roi] | None = None
     ) -> PoseEstimate:
-        """Estimates a pose: :meth:`estimate_batch` for one.
+        """Estimates the pose of an object.
 
         Args:
             views: the reference view first.
-            object_name: what to look for.
-            rois: where to look, one region for each view, instead of where the detector would: for
-                analyses that leave the detector out.
+            object_name: one of ``object_names``.
+            rois: a region of interest for each view, instead of the detector's.
 
         Returns:
             The pose in the reference camera.
 
         Raises:
-            InputError: if there is no view, the object is unknown, or there is not one region for
-                each view.
+            InputError: if there is no view, the object is unknown, or the number of regions is not
+                that of the views.
         """
         return self.estimate_batch([(views, object_name)], None if rois is None else [rois])[0]
 
     def estimate_batch(
         self, requests: Sequence[Request], rois: Sequence[Sequence[Roi]] | None = None
     ) -> list[PoseEstimate]:
-        """Estimates several poses, with the networks' work done in batches.
+        """Estimates several poses with the networks in batches; arguments as for :meth:`estimate`.
 
-        Args:
-            requests: views and object name of each.
-            rois: regions of each, see :meth:`estimate`.
-
-        Returns:
-            For each request what :meth:`estimate` answers: on a processor to the bit, on a GPU but
-            for the rounding of another batch.
-
-        Raises:
-            InputError: see :meth:`estimate`.
+        Results are those of :meth:`estimate`: bit-equal on a CPU, up to rounding on a GPU.
         """
         targets = [target for target, *_ in self.targets(requests, rois)]
         encoded = self.frontend.encode(targets)
@@ -100,17 +89,11 @@ class SingleViewEstimator:
     def targets(
         self, requests: Sequence[Request], rois: Sequence[Sequence[Roi]] | None
     ) -> list[list[Target]]:
-        """What is to be found in each view of each request, where it is told.
-
-        Raises:
-            InputError: see :meth:`estimate`.
-        """
+        """Validates requests and returns the target in each view; see :meth:`estimate`."""
         targets = []
         for number, (views, name) in enumerate(requests):
             if len(views) == 0:
-                raise InputError(
-                    "estimate needs at least one view, the reference view first; got none"
-                )
+                raise InputError("estimate needs at least one view, the reference first; got none")
             regions = [None] * len(views) if rois is None else rois[number]
             if len(regions) != len(views):
                 raise InputError(
@@ -118,33 +101,30 @@ class SingleViewEstimator:
                     f"got {len(regions)}"
                 )
             index = self.index(name)
-            targets.append(
-                [Target(view, index, roi) for view, roi in zip(views, regions, strict=True)]
-            )
+            pairs = zip(views, regions, strict=True)
+            targets.append([Target(view, index, roi) for view, roi in pairs])
         return targets
 
     def index(self, object_name: str) -> int:
-        """Number of an object in the networks' order.
+        """Returns the index of an object in the networks.
 
         Raises:
             InputError: if the weights do not know it.
         """
-        try:
-            return self.networks.index[object_name]
-        except KeyError:
+        if object_name not in self.networks.index:
             raise InputError(
                 f"these weights do not know the object {object_name!r}; they know "
                 f"{', '.join(self.object_names)}. Train some that do: "
                 f"python -m two_view_pose train-estimator --objects {object_name} --data DIR "
                 "--init linemod --out DIR"
-            ) from None
+            )
+        return self.networks.index[object_name]
 
     def from_one_view(self, encoded: EncodedView, object_name: str) -> PoseEstimate:
         """Solves for the pose of an encoded view.
 
-        Votes that fall into one point, as those of a hidden object may, fit a pose a hundred meters
-        away as well. Where the pose is not at all at the depth that the region's size says, the
-        object is placed there instead.
+        Votes that collapse to a point, as for a hidden object, also fit a pose a hundred meters
+        away. A pose whose depth contradicts the region's size is moved to the region's depth.
         """
         model = self.networks.objects[object_name]
         solution = uncertainty_pnp(
@@ -168,7 +148,7 @@ class SingleViewEstimator:
 def _placed_by_region(
     encoded: EncodedView, rotation: np.ndarray, depth: float, model: ObjectModel
 ) -> PoseEstimate:
-    """The pose of an object in the middle of its region, which is no better than a guess."""
+    """Returns the pose of an object at the center of its region, as a rough guess."""
     ray = np.linalg.inv(encoded.view.K) @ (*encoded.roi.center, 1.0)
     T = make_transform(rotation, depth * ray)
     spread = np.eye(3) * (0.5 * model.diameter) ** 2

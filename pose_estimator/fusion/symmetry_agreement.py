@@ -1,7 +1,7 @@
-"""Views of a symmetric object that mean different poses, made to mean the same one.
+"""Makes the votes of several views of a symmetric object consistent, and fits one pose to them.
 
-Each view may have voted for another of the equivalent poses. A symmetry only renumbers the
-keypoints, so the numbering that triangulates best is taken.
+Each view may vote for another of the equivalent poses. A symmetry permutes the keypoints, so the
+permutation that triangulates best is taken.
 """
 
 from __future__ import annotations
@@ -21,25 +21,24 @@ from ..types import PoseEstimate
 from .frontend import EncodedView
 
 _OUTLIER_ERROR = 8.0
-"""Reprojection error in grid pixels from which a keypoint counts as plainly wrong."""
+"""Outlier threshold: larger reprojection errors, in grid pixels, are clipped."""
 
 _MAX_DEPTH_RATIO = 1.5
-"""Factor between the depths of a fused pose and of the one before it from which the fused one is
-not believed."""
+"""Between the depths of a fused and the previous pose; above, the fused one is rejected."""
 
 
 def resolve_symmetry_ambiguity(
     encoded: Sequence[EncodedView], model: ObjectModel
 ) -> tuple[list[EncodedView], np.ndarray]:
-    """Renumbers the votes of the further views to the pose that the reference view means.
+    """Permutes the votes of the further views to the equivalent pose of the reference view.
 
     Args:
         encoded: two views or more, the reference first.
         model: the object.
 
     Returns:
-        The views, and the keypoints (9, 3) in the reference camera, in meters, as the reference and
-        the last view triangulate them.
+        The views, and the keypoints (9, 3) triangulated from the reference and the last view, in
+        the reference camera, meters.
     """
     permutations = keypoint_permutations(model.keypoints, model.symmetries)
     reference = encoded[0]
@@ -75,16 +74,16 @@ def resolve_symmetry_ambiguity(
 def joint_pose(
     encoded: Sequence[EncodedView], points: np.ndarray, model: ObjectModel, first: PoseEstimate
 ) -> np.ndarray:
-    """The pose that explains the votes of all views, T_cam_obj (4, 4) in the reference camera.
+    """Fits T_cam_obj (4, 4), in the reference camera, to the votes of all views.
 
-    It is found from ``first`` and from the pose of the triangulated keypoints. Triangulation alone
-    would not do: with a baseline of a few centimeters it is decimeters off.
+    It starts from ``first`` and from the triangulated keypoints, which alone are decimeters off at
+    a baseline of a few centimeters.
 
     Args:
-        encoded: the views, consistently labeled (see :func:`resolve_symmetry_ambiguity`).
+        encoded: the views, consistently labeled.
         points: triangulated keypoints (9, 3).
         model: the object.
-        first: the best pose so far, which is also the answer where no pose explains the votes.
+        first: the best pose so far, also returned if the fit is not consistent with it.
     """
     starts = [first.T_cam_obj, solve_pose(model.keypoints, points, model.diameter)]
     T = fit_multi_view_pose(encoded, model, starts)
@@ -92,10 +91,9 @@ def joint_pose(
 
 
 def depth_is_consistent(T_cam_obj: np.ndarray, first: PoseEstimate, model: ObjectModel) -> bool:
-    """Whether a fused pose has the object at a depth like that of the best pose before it.
+    """Whether a fused pose has about the depth of the best pose before it.
 
-    Views that show different things, as where the detector was wrong in one of them, can be
-    explained together by an object that is meters away.
+    Views of different things, after a wrong detection, fit an object that is meters away.
     """
     depth = float(transform(T_cam_obj, model.keypoints[-1])[2])
     before = float(transform(first.T_cam_obj, model.keypoints[-1])[2])
@@ -108,14 +106,13 @@ def fit_multi_view_pose(
     starts: Sequence[np.ndarray],
     points: SpacePoints | None = None,
 ) -> np.ndarray:
-    """The pose (4, 4) that best explains votes, and points in space if there are any.
+    """Fits the pose (4, 4) to votes, and to 3D keypoints if given.
 
     Args:
-        encoded: the views, the reference first, consistently labeled (see
-            :func:`resolve_symmetry_ambiguity`).
+        encoded: the views, the reference first, consistently labeled.
         model: the object.
-        starts: poses in the reference camera from which it is sought.
-        points: the keypoints as a fusion found them.
+        starts: initial poses in the reference camera.
+        points: 3D keypoints from a fusion.
     """
     return multi_view_pnp(
         model.keypoints,

@@ -1,7 +1,7 @@
-"""What all fusions of two (or more) views share: where to look, and to look twice.
+"""Base class of the fusions of two (or more) views.
 
-The object is found in all views together. The views are fused; the fused pose crops every view
-again; and the second votes are fused again. How the views are fused is the method's own.
+The object is detected in all views jointly and the views are fused. The fused pose gives new crops,
+and a second pass fuses their votes. A method only adds how views are fused.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from .frontend import EncodedView, Target, merge_votes
 from .single import Request, SingleViewEstimator
 
 _ROLLS = (0.0, -0.2, 0.2)
-"""Rotations in radians of the second pass's crops, from the one with the object upright."""
+"""Rotations in radians of the second pass's crops, relative to the upright one."""
 
 _MAX_ROLL = 1.5
-"""Largest rotation in radians of a crop of the second pass."""
+"""Largest rotation in radians of the second pass's upright crop."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """What is known of one request before its views are fused.
+    """The encoded views of one request, before their fusion.
 
     Attributes:
         encoded: its views, the reference first.
-        object_name: what they show.
-        first: the best pose so far: from the reference alone, or from an earlier fusion.
+        object_name: the target.
+        first: the best pose so far, from the reference alone or from an earlier fusion.
     """
 
     encoded: Sequence[EncodedView]
@@ -42,10 +42,7 @@ class Sighting:
 
 
 class TwoViewEstimator(SingleViewEstimator, ABC):
-    """A fusion of views; a method adds :meth:`fuse`.
-
-    With one view it answers as ``single`` does: that is the first pose of the environment.
-    """
+    """A fusion of views; a method adds :meth:`fuse`. With one view it is ``single``."""
 
     def estimate_batch(
         self, requests: Sequence[Request], rois: Sequence[Sequence[Roi]] | None = None
@@ -59,7 +56,7 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
         return answers
 
     def fuse_and_refine(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
-        """Fuses views, and then what they show where the fused poses say the objects are."""
+        """Fuses views, crops them again at the fused poses, and fuses these crops."""
         fused = self.fuse(sightings)
         again = self.refine(
             [replace(s, first=pose) for s, pose in zip(sightings, fused, strict=True)]
@@ -71,12 +68,7 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
 
     @abstractmethod
     def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
-        """Fuses the views of each sighting into one pose.
-
-        Returns:
-            The poses in the reference cameras; ``keypoints`` are those that the solver was given,
-            or those of a pose that was refined after it.
-        """
+        """Fuses the views of each sighting into a pose in the reference camera."""
 
     def answer(
         self,
@@ -86,18 +78,18 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
         *,
         weigh: bool,
     ) -> PoseEstimate:
-        """The pose of fused keypoints.
+        """Solves for the pose of fused keypoints.
 
         Args:
-            sighting: what they come from.
+            sighting: their views.
             keypoints: (9, 3) in the reference camera, m.
-            covariance: theirs, (9, 3, 3).
-            weigh: let the solver trust each as far as its covariance says, instead of all alike.
+            covariance: (9, 3, 3).
+            weigh: whether the solver weights keypoints by their covariances.
         """
         model = self.networks.objects[sighting.object_name]
-        trust = covariance if weigh else None
+        weights = covariance if weigh else None
         return PoseEstimate(
-            T_cam_obj=solve_pose(model.keypoints, keypoints, model.diameter, self.solver, trust),
+            T_cam_obj=solve_pose(model.keypoints, keypoints, model.diameter, self.solver, weights),
             keypoints=keypoints,
             keypoint_covariance=covariance,
             rois=[e.roi for e in sighting.encoded],
@@ -106,14 +98,7 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
     def encode_views(
         self, requests: Sequence[Request], rois: Sequence[Sequence[Roi]] | None = None
     ) -> list[Sighting]:
-        """Encodes all views, each where the object was found in all of its request together.
-
-        Returns:
-            The encoded views, with the poses from the references alone.
-
-        Raises:
-            InputError: see :meth:`estimate`.
-        """
+        """Encodes views at jointly detected regions, and solves the references alone."""
         targets = self.targets(requests, rois)
         together = [n for n, own in enumerate(targets) if rois is None and len(own) > 1]
         found: list[list[Roi | None]] = []
@@ -129,12 +114,11 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
         return sightings
 
     def refine(self, sightings: Sequence[Sighting]) -> list[Sighting]:
-        """Crops every view where a first fusion says the object is, and votes once more.
+        """Crops every view at the fused pose, and votes again.
 
-        The detector misjudges the size of a region by some ten percent; a fused pose does not. A
-        network has seen most objects upright and believes a leaning one less leaning than it is: in
-        the new crops it stands upright. And a network's errors differ a little from crop to crop:
-        the votes of several are averaged.
+        The region's size is about ten percent off in the detector, not in a fused pose. The network
+        was trained mostly on upright objects and underestimates tilt, so crops are rotated until
+        the object is upright. Errors differ between crops, so the votes of several are averaged.
         """
         targets, rolls = [], []
         for sighting in sightings:

@@ -7,24 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...core.plotting import new_figure, save, tidy
-from .. import METHODS
+from ..methods import METHOD_TABLE
 from .plan import DEFAULT_WEIGHTS, NOISY, TESTS, has_both_errors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-COLORS = {
-    "single": "#7a7f87",
-    "early": "#e69f00",
-    "late": "#56a4d9",
-    "mid": "#c8401e",
-    "rgbd": "#1b8a5a",
-}
-"""One for each method, in every figure (after Okabe and Ito, for the color-blind)."""
-
-MARKERS = {"single": "v", "early": "s", "late": "D", "mid": "o", "rgbd": "^"}
-
 
 _COLUMNS = 5
 
@@ -53,10 +41,10 @@ def recall_by_distance(records: Records) -> Figure:
     figure = new_figure(12.5, 2.15 * rows + 0.7)
     axes = figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False)
     for axis, name in zip(axes.flat, objects, strict=False):
-        for method in METHODS:
+        for method, row in METHOD_TABLE.items():
             mine = [r for r in records if r["method"] == method and r["object"] == name]
             points = [(r["distance"], r) for r in mine]
-            _plot(axis, points, 100.0, color=COLORS[method], marker=MARKERS[method], label=method)
+            _plot(axis, points, 100.0, color=row.color, marker=row.marker, label=method)
         bold = "bold" if name == "mean" else "normal"
         axis.set_title("all objects" if name == "mean" else name, fontsize=10.5, fontweight=bold)
         axis.set_ylim(-3, 103)
@@ -91,12 +79,12 @@ def accuracy_under_noise(records: Records) -> Figure:
     for (metric, scale, label), row in zip(measures, axes, strict=True):
         for axis, (title, x_label, keep, x) in zip(row, columns, strict=True):
             chosen = [r for r in records if r["metric"] == metric and keep(r)]
-            for method in METHODS:
+            for method, entry in METHOD_TABLE.items():
                 for training, line in ((DEFAULT_WEIGHTS, "-"), (NOISY, "--")):
                     curve = (method, training)
                     points = [(x(r), r) for r in chosen if (r["method"], r["training"]) == curve]
                     label = f"{method}, trained with errors" if training else method
-                    style = {"color": COLORS[method], "marker": MARKERS[method], "linestyle": line}
+                    style = {"color": entry.color, "marker": entry.marker, "linestyle": line}
                     _plot(axis, points, scale, label=label, **style)
             if metric == measures[0][0]:
                 axis.set_title(title, fontsize=10.5)

@@ -13,6 +13,7 @@ from ...core.errors import InputError
 from ...core.geometry import View
 from ..bop.dataset import read_depth
 from ..evaluation.evaluate_pairs import read_views
+from ..methods import METHOD_TABLE
 from .activations import plot_activations
 from .cost import BATCH
 from .images import Example, draw_example
@@ -83,7 +84,7 @@ def make_views(test: StudySet, work: Work, method: str) -> list[View]:
     scene = test.dataset.scene(pair.scene_id)
     images = [scene[pair.ref_image_id], scene[pair.second_image_id]]
     used = images[:1] if method in ONE_VIEW else images
-    return read_views(used, pair.T_second_ref, depth=method == "rgbd")
+    return read_views(used, pair.T_second_ref, depth=METHOD_TABLE[method].needs_depth)
 
 
 def at_best_gap(test: StudySet, objects: Mapping[str, ObjectModel]) -> list[Work]:

@@ -14,9 +14,9 @@ from ...core.geometry import View, crop_matrix, invert, project, transform
 from ...core.image_crop import warp_crop
 from ...core.plotting import INK, new_figure, save
 from ..evaluation.metrics import nearest_symmetric_pose
+from ..methods import METHOD_TABLE
 from ..types import PoseEstimate
 from ..visualization import ESTIMATE_COLOR, TRUE_COLOR, draw_poses
-from .figures import COLORS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,18 +80,17 @@ def draw_example(example: Example, path: Path) -> Path:
     axes[1, 0].text(0.0, 0.5, _LEGEND, fontsize=9, color=INK, va="center", linespacing=1.35)
     crop, K, T_true = example.crop(example.reference)
     for column, (method, answer) in enumerate(example.answers.items(), start=1):
+        color = METHOD_TABLE[method].color
         T_near = nearest_symmetric_pose(answer.T_cam_obj, T_true, example.model)
         truth = transform(T_near, example.model.keypoints)
         error = np.linalg.norm(answer.keypoints - truth, axis=1).mean()
-        axes[0, column].set_title(
-            f"{method}: {1000 * error:.1f} mm", fontsize=11, color=COLORS[method],
-            fontweight="bold",
-        )  # fmt: skip
-        _keypoints_in_image(axes[0, column], crop, K, truth, answer.keypoints, COLORS[method])
+        title = f"{method}: {1000 * error:.1f} mm"
+        axes[0, column].set_title(title, fontsize=11, color=color, fontweight="bold")
+        _keypoints_in_image(axes[0, column], crop, K, truth, answer.keypoints, color)
         place = axes[1, column].get_subplotspec()
         axes[1, column].remove()
         solid = figure.add_subplot(place, projection="3d")
-        _keypoints_in_space(solid, truth, answer.keypoints, example.model, COLORS[method])
+        _keypoints_in_space(solid, truth, answer.keypoints, example.model, color)
         poses = {TRUE_COLOR: T_true, ESTIMATE_COLOR: answer.T_cam_obj}
         _show(axes[2, column], draw_poses(crop, example.model, poses, K))
     figure.suptitle(example.title, fontsize=12, color=INK, x=0.01, ha="left")

@@ -24,6 +24,7 @@ from ..bop.pairs import PAIRS_FILE
 from ..evaluation.evaluate_pairs import AnnotatedPair, annotated_pair, baseline_at, read_views
 from ..evaluation.metrics import add_or_add_s, keypoint_distances
 from ..fusion.batching import batch_size, estimate_all
+from ..methods import METHOD_TABLE
 from ..solvers.rigid import SOLVERS, solve_pose
 from ..types import PoseEstimate
 from .log import OutcomeLog, PairOutcome
@@ -224,5 +225,5 @@ class _Answers:
 
     def _read_views(self, case: AnnotatedPair) -> list[View]:
         T_second_ref = perturbed_pose(self._run, case.pair, self._seed)
-        images, depth = case.images[: self._views], self._run.method == "rgbd"
+        images, depth = case.images[: self._views], METHOD_TABLE[self._run.method].needs_depth
         return read_views(images, T_second_ref, depth=depth, read=self._read)

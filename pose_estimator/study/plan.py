@@ -13,9 +13,10 @@ from ...assets.object_model import ObjectModel
 from ...core.geometry import make_transform
 from ..bop.dataset import BopPair
 from ..evaluation.evaluate_pairs import target_pairs
+from ..methods import METHOD_TABLE
 
-ONE_VIEW = frozenset({"single", "rgbd"})
-"""Methods that look at the reference view only."""
+ONE_VIEW = frozenset(m.name for m in METHOD_TABLE.values() if m.views == 1)
+"""Methods that use the reference view only."""
 
 GAPS = (1, 5, 10)
 """Frames between the two views."""

@@ -59,7 +59,8 @@ def find(records: Records, **tags: Any) -> Record:
 
 def keypoint_table(records: Records, scene: str) -> Table | None:
     """Table 1: mean 3D keypoint distance by gap, mm."""
-    methods = ("early", "mid", "late", "rgbd")
+    # Those that solve 3D keypoints for the pose, as the paper orders them.
+    methods = [m for m in dict.fromkeys(("early", "mid", *METHODS)) if m != "single"]
     tags = {"metric": "keypoint_distance", "scene": scene, "object": "mean"}
     rows = []
     for gap in (*GAPS, "mean"):

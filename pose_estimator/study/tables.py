@@ -14,6 +14,7 @@ import numpy as np
 
 from ..evaluation.intervals import clustered_mean
 from ..evaluation.metrics import CORRECT
+from ..methods import METHODS
 from .log import PairOutcome
 from .plan import BEST_GAP, DEFAULT_WEIGHTS, Run
 
@@ -45,7 +46,7 @@ def tables(outcomes: Mapping[Run, Sequence[PairOutcome]]) -> list[Record]:
         tags = {"scene": scene, "method": method}
         records += method_records(found, tags) + solver_records(found, tags)
         if method == "mid":
-            for against in ("single", "early", "late", "rgbd"):
+            for against in (other for other in METHODS if other != "mid"):
                 other = main.get((scene, against), [])
                 records += difference_records(found, other, {**tags, "against": against})
     for run, found in outcomes.items():

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from ...core.errors import InputError
 from ..bop.find_dataset import find_dataset
-from ..networks.parts import STAGES
+from ..methods import METHOD_TABLE
+from ..networks.parts import OPTIONAL_PARTS, STAGES
 from .config import TrainEstimatorConfig
 from .objects import training_objects
 from .record import TrainingLog, header
@@ -117,7 +118,9 @@ def next_command(networks: PoseNetworks, done: Collection[str], path: Path) -> s
             f"these weights cannot be evaluated until {' and '.join(missing)} are trained: the "
             f"same command with --stages {' '.join(missing)}"
         )
-    method = {"cascade": "early", "points": "rgbd"}.get([*done][-1] if done else "", "mid")
+    last = [*done][-1] if done else ""
+    with_last = [m.name for m in METHOD_TABLE.values() if last in m.parts]
+    method = with_last[0] if last in OPTIONAL_PARTS else "mid"
     if method == "mid" and "volume" not in networks.trained:
         method = "late"  # the best of two views that needs no more than 2D features
     return f"evaluate them: python -m two_view_pose evaluate --method {method} --weights {path}"

@@ -85,8 +85,8 @@ def test_the_same_seed_gives_the_same_interval():
     [
         (([], []), "non-empty"),
         (([1.0, np.nan], [0, 1]), "finite"),
-        (([1.0, 2.0], [0]), "equally many"),
-        (([1.0, 2.0], [0, 1], ["a"]), "equally many"),
+        (([1.0, 2.0], [0]), "same length"),
+        (([1.0, 2.0], [0, 1], ["a"]), "same length"),
     ],
 )
 def test_wrong_lists_are_refused(arguments, message):

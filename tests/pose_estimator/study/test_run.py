@@ -34,6 +34,7 @@ def oracles(tests, boxes, networks, monkeypatch) -> dict[str, Oracle]:
     for method, T in (("single", None), ("late", shift), ("mid", None)):
         made[method] = Oracle(tests["linemod"].dataset, boxes, T, strict=False)
         made[method].networks = networks  # type: ignore[attr-defined]
+    monkeypatch.setattr(networks, "trained", frozenset({"detector", "features", "volume"}))
     monkeypatch.setattr(study_run, "load", lambda method, weights, **options: made[method])
     monkeypatch.setattr(study_run, "load_networks", lambda weights, device: networks)
     monkeypatch.setattr(study_run, "draw_gallery", lambda *args, **kwargs: None)
