@@ -36,16 +36,9 @@ def plot_activations(
     depth: np.ndarray | None,
     path: Path,
 ) -> Path | None:
-    """Draws Figure 6 for ``early`` and ``mid``, whichever are among the estimators.
+    """Draws Figure 6 for ``early`` and ``mid``; returns its path, or None if neither is there.
 
-    Args:
-        example: the pair.
-        estimators: by method.
-        depth: the reference's depth map from the sensor, (H, W) m, for comparison; or None.
-        path: of the figure.
-
-    Returns:
-        The path, or None if neither method is there.
+    ``depth`` is the reference's depth map from the sensor, (H, W) m, for comparison.
     """
     rows = [method for method in ("early", "mid") if method in estimators]
     if not rows:
@@ -107,8 +100,8 @@ def draw_depth(
         axes: five.
         view: the reference view.
         K_crop: (3, 3) camera of the crop.
-        stage: the cascade's last :class:`~.cascade.DepthOutput`.
-        sensor: depth map of the whole view, (H, W) m, 0 = unknown, or None.
+        stage: the cascade's last ``DepthOutput``.
+        sensor: depth map of the view, (H, W) m, 0 = unknown, or None.
         limits: (2,) range of the color scale, m.
     """
     found = stage.depth[0].float().numpy()

@@ -26,8 +26,7 @@ class CompareConfig:
     methods: tuple[str, ...] = METHODS
     """Which methods to run: single, early, late, mid, rgbd."""
     weights: str = "linemod"
-    """Name of shipped weights, or a .safetensors file. Methods whose networks it lacks are reported
-    as not available."""
+    """Name of shipped weights, or a .safetensors file; it may lack the networks of some methods."""
     noisy_weights: str | None = None
     """Weights trained with errors of the relative pose, to compare under such errors."""
     no_pose_loss_weights: str | None = None
@@ -41,8 +40,7 @@ class CompareConfig:
     pictures: int = 2
     """Pairs of each test to draw."""
     seed: int = 0
-    """Random seed of the errors of the relative pose and of the pairs to draw. The tests have
-    their own seeds."""
+    """Random seed of the errors of the relative pose and of the pairs to draw."""
     device: str = "auto"
     """Where networks run: `auto` (a GPU if there is one, else the CPU), `cpu`, `cuda`, `cuda:N` or
     `mps`."""

@@ -29,17 +29,16 @@ def measure_cost(
     repeats: int,
     progress: bool = True,
 ) -> list[dict[str, Any]]:
-    """Times all methods; medians count.
+    """Times all methods.
 
     Args:
-        estimators: method -> estimator.
+        estimators: by method.
         pairs: each reads the views that a method is given, and the object's name.
         repeats: timed estimates of each method.
         progress: whether to show a bar.
 
     Returns:
-        Records ``seconds_per_pair`` with ``method``, ``batch`` and ``threads``; of a batch only
-        where an estimator has ``estimate_batch``.
+        Records of the medians, ``seconds_per_pair``; of batches only with ``estimate_batch``.
     """
     from tqdm import tqdm
 

@@ -83,9 +83,9 @@ def accuracy_under_noise(records: Records) -> Figure:
                 for training, line in ((DEFAULT_WEIGHTS, "-"), (NOISY, "--")):
                     curve = (method, training)
                     points = [(x(r), r) for r in chosen if (r["method"], r["training"]) == curve]
-                    label = f"{method}, trained with errors" if training else method
+                    name = f"{method}, trained with errors" if training else method
                     style = {"color": entry.color, "marker": entry.marker, "linestyle": line}
-                    _plot(axis, points, scale, label=label, **style)
+                    _plot(axis, points, scale, label=name, **style)
             if metric == measures[0][0]:
                 axis.set_title(title, fontsize=10.5)
             tidy(axis)

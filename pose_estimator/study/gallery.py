@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,16 +29,7 @@ def draw_gallery(
     count: int,
     seed: int,
 ) -> None:
-    """Draws Figures 5 and 6 for random pairs of each test; removes those of an earlier run.
-
-    Args:
-        tests: where pairs are drawn from.
-        estimators: by method.
-        objects: the models by name.
-        folder: where the PNG files go.
-        count: pairs of each test.
-        seed: of the draw.
-    """
+    """Draws Figures 5 and 6 for ``count`` random pairs of each test, in place of older ones."""
     for old in folder.glob("*.png"):
         old.unlink()
     rng = np.random.default_rng(seed)
@@ -65,9 +55,8 @@ def make_example(
     reference = test.dataset.scene(pair.scene_id)[pair.ref_image_id]
     truth = reference.annotation(model.obj_id)
     if truth is None:
-        raise InputError(
-            f"{name} is not in scene {pair.scene_id}, image {pair.ref_image_id} of {test.name}"
-        )
+        place = f"scene {pair.scene_id}, image {pair.ref_image_id} of {test.name}"
+        raise InputError(f"{name} is not in {place}")
     title = (
         f"{name}, {test.name} test, sequence {pair.scene_id}, frames {pair.ref_image_id} "
         f"and {pair.second_image_id}, {100 * truth.visibility:.0f} % visible"
@@ -88,11 +77,7 @@ def make_views(test: StudySet, work: Work, method: str) -> list[View]:
 
 
 def at_best_gap(test: StudySet, objects: Mapping[str, ObjectModel]) -> list[Work]:
-    """Returns the pairs of a test with the widest gap.
-
-    Raises:
-        InputError: if there are none.
-    """
+    """Returns the pairs of a test with the widest gap; raises InputError if there are none."""
     work = choose_pairs(Run("main", test.name, "mid", gaps=(BEST_GAP,)), test.pairs, objects)
     if not work:
         raise InputError(f"the {test.name} test has no pair of gap {BEST_GAP}")
@@ -105,8 +90,4 @@ def timed_pairs(
     """Returns pairs to time, spread over the test: each reads a method's views and target."""
     work = at_best_gap(test, objects)
     indices = np.linspace(0, len(work) - 1, min(len(work), BATCH)).astype(int)
-    return [partial(_views_and_name, test, work[index]) for index in indices]
-
-
-def _views_and_name(test: StudySet, work: Work, method: str) -> tuple[list[View], str]:
-    return make_views(test, work, method), work[1]
+    return [lambda m, w=work[i]: (make_views(test, w, m), w[1]) for i in indices]  # type: ignore[misc]

@@ -45,12 +45,7 @@ orange: estimated"""
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A pair of views with the target, its true pose and the estimate of each method.
-
-    Attributes:
-        T_cam_obj: the truth in the reference camera, (4, 4).
-        answers: method -> estimate.
-    """
+    """A pair of views with the target, its true T_cam_obj (4, 4) and each method's answer."""
 
     title: str
     model: ObjectModel

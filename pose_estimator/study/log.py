@@ -14,17 +14,15 @@ from ...core.files import write_atomically
 
 @dataclass(frozen=True)
 class PairOutcome:
-    """One object in one pair of views, estimated and compared with the truth.
+    """Errors of the estimate of one object in one pair of views.
 
     Attributes:
-        scene_id, ref_image_id, second_image_id, object_name: what was estimated.
         gap: frames between the views.
         error: ADD, or ADD-S for symmetric objects, in diameters.
         distances: error of each of the nine 3D keypoints, m.
         camera_distance: from the reference camera to the object's origin, m.
         visibility: of the target in the reference view, 0 to 1.
         baseline: angle between the views as seen from the object, degrees.
-        seconds: time of the estimate.
         solver_errors: ``error`` of the pose that each solver finds from the same keypoints.
     """
 
@@ -43,7 +41,6 @@ class PairOutcome:
 
     @property
     def key(self) -> tuple[int, int, int, str]:
-        """Identifies what was estimated."""
         return self.scene_id, self.ref_image_id, self.second_image_id, self.object_name
 
     @property

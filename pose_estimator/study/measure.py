@@ -46,14 +46,7 @@ class Estimator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StudySet:
-    """One test.
-
-    Attributes:
-        name: ``linemod`` or ``occlusion``.
-        dataset: its images and true poses.
-        pairs: of views, each with its gap.
-        description: its manifest.
-    """
+    """One test, ``linemod`` or ``occlusion``: a dataset, its pairs with gaps, its manifest."""
 
     name: str
     dataset: BopDataset
@@ -62,11 +55,7 @@ class StudySet:
 
     @classmethod
     def open(cls, name: str, root: Path, split: str = "test") -> StudySet:
-        """Opens a BOP dataset.
-
-        Raises:
-            InputError: if there is none, or its pairs have no gaps.
-        """
+        """Opens a BOP dataset; raises InputError if its pairs have no gaps."""
         pairs = read_pairs(root)
         if any(pair.gap is None for pair in pairs):
             raise InputError(f"{root / PAIRS_FILE} has pairs without a gap")
@@ -85,19 +74,9 @@ def measure_run(
     seed: int = 0,
     progress: bool = True,
 ) -> list[PairOutcome]:
-    """Measures the pairs of a run that are not logged yet.
+    """Measures the pairs of a run that are not logged yet; returns all its outcomes.
 
-    Args:
-        run: what to measure.
-        estimator: the method, with its weights.
-        test: the images and the truth.
-        objects: the models by name.
-        log: each batch of outcomes is added to it.
-        seed: of the errors of the relative pose.
-        progress: whether to show a bar.
-
-    Returns:
-        The outcomes of the run.
+    Each batch of outcomes is added to the log. ``seed`` is of the errors of the relative pose.
 
     Raises:
         InputError: if the test has no pair of the run, or lacks what the method needs.
@@ -109,9 +88,9 @@ def measure_run(
         raise InputError(f"the {run.test} test has no pair for {run.method}, gaps {run.gaps}")
     done = {outcome.key for outcome in log.outcomes}
     left = [
-        (pair, name)
-        for pair, name in work
-        if (pair.scene_id, pair.ref_image_id, pair.second_image_id, name) not in done
+        (p, name)
+        for p, name in work
+        if (p.scene_id, p.ref_image_id, p.second_image_id, name) not in done
     ]
     answers = _Answers(estimator, run, seed)
     scenes = lru_cache(maxsize=2)(test.dataset.scene)
@@ -155,13 +134,9 @@ def _outcome(
 def compare_with_truth(
     estimate: PoseEstimate, T_true: np.ndarray, model: ObjectModel, *, solvers: bool
 ) -> dict:
-    """Computes the errors of an estimate, as fields of a :class:`PairOutcome`.
+    """Computes the errors of an estimate against T_cam_obj (4, 4), as fields of a PairOutcome.
 
-    Args:
-        estimate: the answer.
-        T_true: true T_cam_obj, (4, 4).
-        model: the object.
-        solvers: whether to solve for the pose from the answer's keypoints by every solver.
+    With ``solvers`` also of the pose that each solver finds from the estimate's keypoints.
     """
     errors = {}
     if solvers:

@@ -100,7 +100,7 @@ class Run:
 def choose_pairs(
     run: Run, pairs: Sequence[BopPair], objects: Mapping[str, ObjectModel]
 ) -> list[Work]:
-    """Returns the pairs and targets of a run, scene by scene."""
+    """Returns the pairs and targets of a run, ordered by scene."""
     by_gap: dict[int, dict[str, list[Work]]] = {}
     for pair, name in target_pairs(pairs, objects):
         if pair.gap in run.gaps:
@@ -147,12 +147,8 @@ def plan(
 ) -> Iterator[Run]:
     """Yields every run of a study, those of the tables first.
 
-    Args:
-        methods: which to run.
-        trainings: which weights there are, ``DEFAULT_WEIGHTS`` among them.
-        per_object: see :class:`Run`.
-        noise_per_object: the same under errors of the relative pose.
-        per_gap: see :class:`Run`; if set, the run is quick and uses only the extreme errors.
+    ``trainings`` are names of weights. ``noise_per_object`` is ``per_object`` under errors of the
+    relative pose; with ``per_gap`` only the extreme errors are used.
     """
     for test in TESTS:
         for method in methods:

@@ -42,12 +42,9 @@ def write_report(folder: Path) -> Path:
 def report_page(
     document: Mapping[str, Any], charts: Mapping[str, Path], images: Sequence[Path]
 ) -> str:
-    """Renders a results document as one self-contained page.
+    """Renders results.json as one self-contained page.
 
-    Args:
-        document: contents of results.json.
-        charts: SVG files by name, see :func:`~.figures.draw_charts`.
-        images: PNG files ``example_N.png`` and ``insides_N.png``.
+    ``charts`` are SVG files by name, ``images`` the files ``example_N.png`` and ``insides_N.png``.
     """
     records = document["records"]
     environment = Environment(

@@ -21,14 +21,7 @@ _FORMATS = {"mm": (1000.0, ".1f"), "%": (100.0, ".1f"), "points": (100.0, "+.1f"
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of a table.
-
-    Attributes:
-        text: empty shows a dash.
-        interval: in small print under the text.
-        best: set in bold.
-        published: a result of the paper.
-    """
+    """One cell: text (empty: a dash), interval in small print, bold if best, or of the paper."""
 
     text: str = ""
     interval: str = ""
@@ -38,12 +31,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table with headings, rows, and paragraphs below it.
-
-    Attributes:
-        groups: titles above the columns, and the number of columns that each spans.
-        last_is_mean: whether the last row is set apart.
-    """
+    """A table: titles with the number of columns they span, heads, rows, paragraphs below."""
 
     groups: Sequence[tuple[str, int]]
     head: Sequence[Cell]

@@ -27,13 +27,7 @@ from .tables import Record, tables
 
 @dataclass(eq=False)
 class Study:
-    """A study in progress.
-
-    Attributes:
-        config: its options.
-        tests: by name.
-        records: results so far, and methods that are not available.
-    """
+    """A study in progress: its options, its tests by name, and the records so far."""
 
     config: CompareConfig
     tests: Mapping[str, StudySet]
@@ -75,8 +69,8 @@ class Study:
 
     def other_weights(self) -> dict[str, str]:
         """Returns the weights of other trainings, by the training's name."""
-        given = {NOISY: self.config.noisy_weights, NO_POSE_LOSS: self.config.no_pose_loss_weights}
-        return {training: weights for training, weights in given.items() if weights is not None}
+        files = {NOISY: self.config.noisy_weights, NO_POSE_LOSS: self.config.no_pose_loss_weights}
+        return {training: file for training, file in files.items() if file is not None}
 
     def load_all(self) -> dict[tuple[str, str], Estimator]:
         """Loads every method with every training; adds a record for those that lack networks."""
