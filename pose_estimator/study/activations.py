@@ -97,7 +97,6 @@ def draw_depth(
     """Draws the crop, its depth with the standard deviation, the sensor's depth, the difference.
 
     Args:
-        axes: five.
         view: the reference view.
         K_crop: (3, 3) camera of the crop.
         stage: the cascade's last ``DepthOutput``.
@@ -144,7 +143,6 @@ def draw_volume(
     """Draws the features of both views, and the keypoints' distribution along three axes.
 
     Args:
-        axes: five.
         volume: the networks' volume.
         trunk_input: (1, C, N, N, N) input of the 3D network of its fine level.
         level: output of that level.

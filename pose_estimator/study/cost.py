@@ -29,16 +29,10 @@ def measure_cost(
     repeats: int,
     progress: bool = True,
 ) -> list[dict[str, Any]]:
-    """Times all methods.
+    """Times all methods; returns records of the medians, ``seconds_per_pair``.
 
-    Args:
-        estimators: by method.
-        pairs: each reads the views that a method is given, and the object's name.
-        repeats: timed estimates of each method.
-        progress: whether to show a bar.
-
-    Returns:
-        Records of the medians, ``seconds_per_pair``; of batches only with ``estimate_batch``.
+    Each of ``pairs`` reads the views that a method is given, and the object's name. Batches are
+    timed for estimators with ``estimate_batch``.
     """
     from tqdm import tqdm
 

@@ -66,8 +66,6 @@ class Run:
 
     Attributes:
         part: of the study: ``main``, ``training`` (other weights) or ``noise`` (inexact poses).
-        test: ``linemod`` or ``occlusion``.
-        method: see ``pose_estimator.METHODS``.
         training: which weights, by their name in the report.
         gaps: frames between the views.
         per_object: maximum number of pairs for each object and gap, spread evenly; 0 = all.

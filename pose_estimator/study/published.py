@@ -1,8 +1,7 @@
 """Results that the paper published, on real images; the report shows them in their own column.
 
-"Towards Two-view 6D Object Pose Estimation: A Comparative Study on Fusion Strategy", arXiv
-2207.00260. Its tests are the real LineMOD and Occlusion LineMOD; ours are simulated scenes with our
-own objects, so a difference between a published and a measured result does not compare methods.
+The paper's tests are real images of LineMOD; ours are simulated scenes with our own objects, so a
+difference between a published and a measured result does not compare methods.
 """
 
 from __future__ import annotations
@@ -22,3 +21,8 @@ RESULTS: dict[tuple[str, str, int | str], float] = {
 }
 """Mid-Fusion's results by metric, test and gap (frames, or the mean over the gaps), in meters or 0
 to 1; means over the objects. The difference is the gain over the RGB-D reference."""
+
+NO_RESULTS_BY_OBJECT = (
+    "Of the paper only the mean stands here: its results by object are not in the sources that "
+    "this page is made from."
+)

@@ -92,10 +92,7 @@ def recall_table(records: Records, scene: str) -> Table | None:
     gain = published.RESULTS.get(("add_s_recall_difference", scene, BEST_GAP))
     if gain is not None:
         notes.append(f"The paper's gain over rgbd: {_format(gain, 'points')} points.")
-    notes.append(
-        "Of the paper only the mean stands here: its results by object are not in the sources that "
-        "this page is made from."
-    )
+    notes.append(published.NO_RESULTS_BY_OBJECT)
     groups = [("", 1), ("ours, simulated", len(METHODS)), _paper_group(scene), ("", 1)]
     head = [*map(Cell, ("object", *METHODS)), Cell("mid", published=True), Cell("pairs")]
     return Table(groups, head, rows, notes, last_is_mean=True)
@@ -131,12 +128,10 @@ def noise_table(records: Records) -> Table | None:
     rows = []
     for rotation, translation in sorted(levels):
         row = [Cell(f"{rotation:g}°, {1000 * translation:g} mm")]
-        tags = {"rotation_deg": rotation, "translation": translation}
+        tags: dict[str, Any] = {"rotation_deg": rotation, "translation": translation}
         for metric, unit, best in _MEASURES:
-            results = [
-                find(records, metric=f"noise_{metric}", method=method, training=training, **tags)
-                for method, training in curves
-            ]
+            tags["metric"] = f"noise_{metric}"
+            results = [find(records, method=m, training=t, **tags) for m, t in curves]
             row += _ranked(results, unit, best)
         rows.append(row)
     names = [m if t == DEFAULT_WEIGHTS else f"{m}, trained with {t}" for m, t in curves]

@@ -72,9 +72,8 @@ def method_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> 
         by = attrgetter("gap", "object_name")
         records.append(_mean(metric, outcomes, by, object="mean", gap="mean"))
     for gap, at_gap in by_gap.items():
-        median = float(np.median([o.keypoint_distance for o in at_gap]))
-        found = {"metric": "keypoint_distance_median", "value": median, "unit": "m", "gap": gap}
-        records.append(found)
+        median = {"value": float(np.median([o.keypoint_distance for o in at_gap])), "unit": "m"}
+        records.append({"metric": "keypoint_distance_median", **median, "gap": gap})
     records += _recall_by_distance(by_gap.get(BEST_GAP, []))
     return [record | dict(tags) for record in records]
 
@@ -121,11 +120,9 @@ def solver_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> 
             metric, names = "solver_recall", {"solver": solver, "gap": gap}
             records.append(_record(metric, "", values, group, _object_name, **names))
             if solver != "soft":
+                metric, gain = "solver_recall_difference", correct["soft"] - values
                 names = {"solver": "soft", "against": solver, "gap": gap}
-                gain = correct["soft"] - values
-                records.append(
-                    _record(f"{metric}_difference", "", gain, group, _object_name, **names)
-                )
+                records.append(_record(metric, "", gain, group, _object_name, **names))
     return [record | dict(tags) for record in records]
 
 
