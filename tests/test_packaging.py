@@ -167,7 +167,7 @@ def test_imports_are_declared():
 
     package = [path for folder in FOLDERS for path in (CHECKOUT / folder).rglob("*.py")]
     assert undeclared(package, set(requirements("build", "train", "window"))) == set()
-    benchmarks = set((CHECKOUT / "tests" / "benchmarks").glob("*.py"))
+    benchmarks = set((CHECKOUT / "tests" / "benchmarks").rglob("*.py"))
     # An extra that named pyrender would bring PyOpenGL 3.1.0, with which MuJoCo cannot use EGL.
     extras = set(requirements("bench", "dev"))
     assert undeclared([*benchmarks], extras) - {"benchmarks"} == {"pyrender"}

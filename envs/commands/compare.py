@@ -20,9 +20,9 @@ def compare(config: CompareConfig) -> None:
 
     if not config.report_only:
         check_device(config.device)
+        from ...pose_estimator.study.measure import StudySet
+        from ...pose_estimator.study.plan import TESTS
         from ...pose_estimator.study.run import Study
-        from ...pose_estimator.study.study import StudySet
-        from ...pose_estimator.study.units import TESTS
         from .study_data import ensure_test_set
 
         tests = {

@@ -2,53 +2,50 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...core.errors import InputError
+from ...core.validation import require_within
 from .. import METHODS
-
-QUICK_PAIRS = 3
-"""Pairs of each gap and test in a quick run."""
 
 
 @dataclass(frozen=True)
 class CompareConfig:
     """The comparative study: all methods on the same two tests, as tables, figures and a page.
 
-    Writes results.json, report.html and figures/ to --out. Every pair of views is kept there once
-    it is measured, so the same command resumes a run that was killed.
+    Writes results.json, report.html and figures/ to --out, and each pair of views as soon as it is
+    measured: the same command resumes.
     """
 
     out: Path
     """Folder of the study; made where missing."""
     quick: bool = False
-    """A few pairs of small tests, in three minutes: it shows that all works, not how well."""
+    """A few pairs of small tests, in three minutes: checks that everything works."""
     methods: tuple[str, ...] = METHODS
     """Which methods to run: single, early, late, mid, rgbd."""
     weights: str = "linemod"
-    """Name of shipped weights, or a .safetensors file. Methods whose networks they
-    lack are reported as not available."""
+    """Name of shipped weights, or a .safetensors file; it may lack the networks of some methods."""
     noisy_weights: str | None = None
-    """Weights that were trained with errors of the relative pose, to compare under such errors."""
+    """Weights trained with errors of the relative pose, to compare under such errors."""
     no_pose_loss_weights: str | None = None
-    """Weights that were trained without the loss on the pose, to compare with those that were."""
+    """Weights trained without the loss on the pose, to compare with --weights."""
     data: Path | None = None
     """Folder of the two tests, made where missing; none = data/ in --out."""
     pairs: int = 0
-    """At most so many pairs for each object and gap; 0 = all."""
+    """Maximum number of pairs for each object and gap; 0 = all."""
     noise_pairs: int = 20
     """Pairs for each object under every error of the relative pose; 0 = all."""
     pictures: int = 2
     """Pairs of each test to draw."""
     seed: int = 0
-    """Random seed of the errors of the relative pose and of the pairs that are drawn. The tests
-    have seeds of their own."""
+    """Random seed of the errors of the relative pose and of the pairs to draw."""
     device: str = "auto"
-    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
-    `cuda:N` or `mps`."""
+    """Where networks run: `auto` (a GPU if there is one, else the CPU), `cpu`, `cuda`, `cuda:N` or
+    `mps`."""
     threads: int = 0
-    """Threads of the processor that estimates may use; 0: all cores."""
+    """CPU threads for estimates; 0 = all cores."""
     report_only: bool = False
     """Only draw the charts and the page again from results.json."""
 
@@ -58,17 +55,15 @@ class CompareConfig:
             raise InputError(
                 f"methods must be some of {', '.join(METHODS)}, got {', '.join(self.methods)}"
             )
-        for name in ("pairs", "noise_pairs", "pictures", "seed", "threads"):
-            if getattr(self, name) < 0:
-                raise InputError(f"{name} must be at least 0, got {getattr(self, name)}")
+        require_within(self, 0, math.inf, "pairs", "noise_pairs", "pictures", "seed", "threads")
 
     @property
     def test_data(self) -> Path:
-        """Where the tests are."""
+        """Folder of the tests."""
         return self.data or self.out / "data"
 
     def reduced(self) -> CompareConfig:
-        """As it is, or with few pairs where it shall be quick."""
+        """Returns the options themselves, or with few pairs for a quick run."""
         return replace(self, noise_pairs=1, pictures=1) if self.quick else self
 
     @property
@@ -78,11 +73,11 @@ class CompareConfig:
 
     @property
     def per_gap(self) -> int:
-        """At most so many pairs of each gap; 0 = all."""
-        return QUICK_PAIRS if self.quick else 0
+        """Maximum number of pairs of each gap and test; 0 = all."""
+        return 3 if self.quick else 0
 
     def command(self) -> str:
-        """The command line that asks for the same numbers."""
+        """Returns the command line that gives the same results, without local paths."""
         words = ["compare", "--out", self.out.name]
         if self.quick:
             words.append("--quick")
@@ -92,7 +87,6 @@ class CompareConfig:
         for name in (*files, "pairs", "noise_pairs", "seed"):
             value = getattr(self, name)
             if value != getattr(type(self), name):
-                # Without the folders of this machine.
                 text = Path(value).name if name in files else str(value)
                 words += [f"--{name.replace('_', '-')}", text]
         return " ".join(words)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...core.plotting import new_figure, save, tidy
 from ..methods import METHOD_TABLE
-from .units import DEFAULT_WEIGHTS, NOISY, TESTS, has_both_errors
+from .plan import DEFAULT_WEIGHTS, NOISY, TESTS, has_both_errors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,21 +20,14 @@ Records = Sequence[Mapping[str, Any]]
 
 
 def draw_charts(records: Records, folder: Path) -> dict[str, Path]:
-    """Writes every chart that the records have results for.
-
-    Args:
-        records: of results.json.
-        folder: where the SVG files go.
+    """Writes an SVG file for each chart that the records have results for.
 
     Returns:
-        The files by what they show: ``recall_linemod``, ``recall_occlusion``, ``noise``.
+        The files by name: ``recall_linemod``, ``recall_occlusion``, ``noise``.
     """
     recalls = [r for r in records if r["metric"] == "keypoint_recall"]
-    charts = {
-        f"recall_{scene}": recall_by_distance([r for r in recalls if r["scene"] == scene])
-        for scene in TESTS
-        if any(r["scene"] == scene for r in recalls)
-    }
+    by_test = {scene: [r for r in recalls if r["scene"] == scene] for scene in TESTS}
+    charts = {f"recall_{scene}": recall_by_distance(rs) for scene, rs in by_test.items() if rs}
     noise = [r for r in records if r["metric"].startswith("noise_")]
     if noise:
         charts["noise"] = accuracy_under_noise(noise)
@@ -42,7 +35,7 @@ def draw_charts(records: Records, folder: Path) -> dict[str, Path]:
 
 
 def recall_by_distance(records: Records) -> Figure:
-    """Figure 4: keypoint recall against camera distance, a panel for each object."""
+    """Draws Figure 4: keypoint recall against camera distance, a panel for each object."""
     objects = [*sorted({r["object"] for r in records} - {"mean"}), "mean"]
     rows = -(-len(objects) // _COLUMNS)
     figure = new_figure(12.5, 2.15 * rows + 0.7)
@@ -70,7 +63,7 @@ def recall_by_distance(records: Records) -> Figure:
 
 
 def accuracy_under_noise(records: Records) -> Figure:
-    """Recall and keypoint distance against the error of the relative pose."""
+    """Draws recall and keypoint distance against the error of the relative pose."""
     figure = new_figure(12.5, 6.4)
     axes = figure.subplots(2, 3, sharey="row", squeeze=False)
     columns: tuple[tuple[str, str, Callable, Callable], ...] = (
@@ -86,23 +79,18 @@ def accuracy_under_noise(records: Records) -> Figure:
     for (metric, scale, label), row in zip(measures, axes, strict=True):
         for axis, (title, x_label, keep, x) in zip(row, columns, strict=True):
             chosen = [r for r in records if r["metric"] == metric and keep(r)]
-            for method, style in METHOD_TABLE.items():
+            for method, entry in METHOD_TABLE.items():
                 for training, line in ((DEFAULT_WEIGHTS, "-"), (NOISY, "--")):
-                    _plot(
-                        axis,
-                        [
-                            (x(r), r)
-                            for r in chosen
-                            if (r["method"], r["training"]) == (method, training)
-                        ],
-                        scale, linestyle=line, color=style.color, marker=style.marker,
-                        label=f"{method}, trained with errors" if training else method,
-                    )  # fmt: skip
+                    curve = (method, training)
+                    points = [(x(r), r) for r in chosen if (r["method"], r["training"]) == curve]
+                    name = f"{method}, trained with errors" if training else method
+                    style = {"color": entry.color, "marker": entry.marker, "linestyle": line}
+                    _plot(axis, points, scale, label=name, **style)
             if metric == measures[0][0]:
                 axis.set_title(title, fontsize=10.5)
             tidy(axis)
             axis.set_xlabel(x_label, fontsize=9)
-        row[0].set_ylim(bottom=0)  # last, since it ends the search for a fitting scale
+        row[0].set_ylim(bottom=0)  # last, because it ends autoscaling
         row[0].set_ylabel(label, fontsize=9)
     _legend(figure, axes[0][0])
     return figure
@@ -111,7 +99,7 @@ def accuracy_under_noise(records: Records) -> Figure:
 def _plot(
     axis: Axes, points: Iterable[tuple[float, Mapping[str, Any]]], scale: float, **style: Any
 ) -> None:
-    """A curve of results over x, if there are any, and the band of their intervals."""
+    """Plots results over x, if there are any, with the band of their intervals."""
     ordered = sorted(points, key=lambda point: point[0])
     if not ordered:
         return
@@ -127,7 +115,5 @@ def _plot(
 def _legend(figure: Figure, axis: Axes) -> None:
     handles, labels = axis.get_legend_handles_labels()
     if handles:
-        figure.legend(
-            handles, labels, loc="outside upper center", ncols=len(labels), frameon=False,
-            fontsize=10,
-        )  # fmt: skip
+        style = {"loc": "outside upper center", "frameon": False, "fontsize": 10}
+        figure.legend(handles, labels, ncols=len(labels), **style)

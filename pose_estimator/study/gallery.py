@@ -1,9 +1,8 @@
-"""Which pairs the study draws and times."""
+"""Chooses the pairs that the study draws and times."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +10,14 @@ import numpy as np
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
 from ...core.geometry import View
-from ..bop.dataset import BopPair, read_depth
+from ..bop.dataset import read_depth
 from ..evaluation.evaluate_pairs import read_views
 from ..methods import METHOD_TABLE
 from .activations import plot_activations
 from .cost import BATCH
 from .images import Example, draw_example
-from .study import Estimator, StudySet
-from .units import BEST_GAP, ONE_VIEW, Unit, choose_pairs
-
-Work = tuple[BopPair, str]
+from .measure import Estimator, StudySet
+from .plan import BEST_GAP, ONE_VIEW, Run, Work, choose_pairs
 
 
 def draw_gallery(
@@ -32,16 +29,7 @@ def draw_gallery(
     count: int,
     seed: int,
 ) -> None:
-    """Draws Figures 5 and 6 for pairs that are drawn at random; removes those of an earlier run.
-
-    Args:
-        tests: of each, ``count`` pairs are drawn.
-        estimators: by method.
-        objects: the models.
-        folder: where the PNG files go.
-        count: pairs of each test.
-        seed: of the draw.
-    """
+    """Draws Figures 5 and 6 for ``count`` random pairs of each test, in place of older ones."""
     for old in folder.glob("*.png"):
         old.unlink()
     rng = np.random.default_rng(seed)
@@ -61,34 +49,26 @@ def make_example(
     estimators: Mapping[str, Estimator],
     objects: Mapping[str, ObjectModel],
 ) -> tuple[Example, np.ndarray | None]:
-    """Asks every method for one pair; returns the example and the reference's depth map."""
+    """Runs every method on one pair; returns the example and the reference's depth map."""
     pair, name = work
     model = objects[name]
     reference = test.dataset.scene(pair.scene_id)[pair.ref_image_id]
     truth = reference.annotation(model.obj_id)
     if truth is None:
-        raise InputError(
-            f"{name} is not in scene {pair.scene_id}, image {pair.ref_image_id} of {test.name}"
-        )
-    views = make_views(test, work, "mid")
-    answers = {
-        method: estimator.estimate(make_views(test, work, method), name)
-        for method, estimator in estimators.items()
-    }
-    example = Example(
-        title=f"{name}, {test.name} test, sequence {pair.scene_id}, frames {pair.ref_image_id} "
-        f"and {pair.second_image_id}, {100 * truth.visibility:.0f} % visible",
-        model=model,
-        reference=views[0],
-        second=views[1],
-        T_cam_obj=truth.T_cam_obj,
-        answers=answers,
+        place = f"scene {pair.scene_id}, image {pair.ref_image_id} of {test.name}"
+        raise InputError(f"{name} is not in {place}")
+    title = (
+        f"{name}, {test.name} test, sequence {pair.scene_id}, frames {pair.ref_image_id} "
+        f"and {pair.second_image_id}, {100 * truth.visibility:.0f} % visible"
     )
+    views = make_views(test, work, "mid")
+    answers = {m: e.estimate(make_views(test, work, m), name) for m, e in estimators.items()}
+    example = Example(title, model, *views, truth.T_cam_obj, answers)
     return example, None if reference.depth_path is None else read_depth(reference)
 
 
 def make_views(test: StudySet, work: Work, method: str) -> list[View]:
-    """What a method is given, newly read: one view or two, and depth where it may see it."""
+    """Reads the input of a method: one view or two, and depth if the method uses it."""
     pair, _ = work
     scene = test.dataset.scene(pair.scene_id)
     images = [scene[pair.ref_image_id], scene[pair.second_image_id]]
@@ -97,12 +77,8 @@ def make_views(test: StudySet, work: Work, method: str) -> list[View]:
 
 
 def at_best_gap(test: StudySet, objects: Mapping[str, ObjectModel]) -> list[Work]:
-    """The pairs of a test whose views are farthest apart.
-
-    Raises:
-        InputError: if there are none.
-    """
-    work = choose_pairs(Unit("main", test.name, "mid", gaps=(BEST_GAP,)), test.pairs, objects)
+    """Returns the pairs of a test with the widest gap; raises InputError if there are none."""
+    work = choose_pairs(Run("main", test.name, "mid", gaps=(BEST_GAP,)), test.pairs, objects)
     if not work:
         raise InputError(f"the {test.name} test has no pair of gap {BEST_GAP}")
     return work
@@ -111,11 +87,7 @@ def at_best_gap(test: StudySet, objects: Mapping[str, ObjectModel]) -> list[Work
 def timed_pairs(
     test: StudySet, objects: Mapping[str, ObjectModel]
 ) -> list[Callable[[str], tuple[list[View], str]]]:
-    """Pairs to time, spread over the test: each gives a method's views, and the object's name."""
+    """Returns pairs to time, spread over the test: each reads a method's views and target."""
     work = at_best_gap(test, objects)
-    places = np.linspace(0, len(work) - 1, min(len(work), BATCH)).astype(int)
-    return [partial(_views_and_name, test, work[place]) for place in places]
-
-
-def _views_and_name(test: StudySet, work: Work, method: str) -> tuple[list[View], str]:
-    return make_views(test, work, method), work[1]
+    indices = np.linspace(0, len(work) - 1, min(len(work), BATCH)).astype(int)
+    return [lambda m, w=work[i]: (make_views(test, w, m), w[1]) for i in indices]  # type: ignore[misc]

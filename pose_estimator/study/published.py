@@ -1,9 +1,7 @@
-"""What the paper published: results on real photographs, shown beside ours and never mixed in.
+"""Results that the paper published, on real images; the report shows them in their own column.
 
-"Towards Two-view 6D Object Pose Estimation: A Comparative Study on Fusion Strategy", arXiv
-2207.00260. Its tests are the real LineMOD and Occlusion LineMOD; ours are simulated scenes with
-objects of our own making, so a difference between a column of theirs and one of ours is no
-comparison of methods.
+The paper's tests are real images of LineMOD; ours are simulated scenes with our own objects, so a
+difference between a published and a measured result does not compare methods.
 """
 
 from __future__ import annotations
@@ -12,7 +10,7 @@ PAPER = "arXiv 2207.00260"
 TITLE = "Towards Two-view 6D Object Pose Estimation: A Comparative Study on Fusion Strategy"
 
 TESTS = {"linemod": "real LineMOD", "occlusion": "real Occlusion LineMOD"}
-"""The paper's tests, by ours that resemble them."""
+"""The paper's tests, by our corresponding ones."""
 
 RESULTS: dict[tuple[str, str, int | str], float] = {
     ("keypoint_distance", "linemod", "mean"): 0.013,
@@ -22,5 +20,9 @@ RESULTS: dict[tuple[str, str, int | str], float] = {
     ("add_s_recall_difference", "occlusion", 10): 0.024,
 }
 """Mid-Fusion's results by metric, test and gap (frames, or the mean over the gaps), in meters or 0
-to 1; means over the objects. The difference is the gain over the RGB-D reference. Results by object
-are not in the sources that these are from."""
+to 1; means over the objects. The difference is the gain over the RGB-D reference."""
+
+NO_RESULTS_BY_OBJECT = (
+    "Of the paper only the mean stands here: its results by object are not in the sources that "
+    "this page is made from."
+)

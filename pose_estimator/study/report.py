@@ -1,4 +1,4 @@
-"""The study as one page, made from results.json and the pictures beside it."""
+"""Renders the study as one HTML page, from results.json and the images in figures/."""
 
 from __future__ import annotations
 
@@ -17,19 +17,11 @@ from .. import METHODS
 from . import published, report_tables
 from .figures import draw_charts
 
-TEMPLATE = "report.html.j2"
-
 _IMAGE_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
 
 
 def write_report(folder: Path) -> Path:
-    """Draws the charts and writes report.html.
-
-    Args:
-        folder: of the study; it holds results.json, and pictures in figures/.
-
-    Returns:
-        The page.
+    """Draws the charts and writes report.html into the folder of a study; returns its path.
 
     Raises:
         InputError: if results.json is missing or broken.
@@ -39,25 +31,20 @@ def write_report(folder: Path) -> Path:
         raise InputError(f"{folder} holds no results.json; run compare without --report-only first")
     document = read_results(results)
     charts = draw_charts(document["records"], folder / "figures")
-    pictures = sorted((folder / "figures").glob("*.png"), key=_example_number)
+    images = sorted(
+        (folder / "figures").glob("*.png"), key=lambda p: (int(p.stem.rsplit("_", 1)[-1]), p.stem)
+    )
     target = folder / "report.html"
-    write_atomically(target, report_page(document, charts, pictures).encode())
+    write_atomically(target, report_page(document, charts, images).encode())
     return target
 
 
-def _example_number(path: Path) -> tuple[int, str]:
-    return int(path.stem.rsplit("_", 1)[-1]), path.stem
-
-
 def report_page(
-    document: Mapping[str, Any], charts: Mapping[str, Path], pictures: Sequence[Path]
+    document: Mapping[str, Any], charts: Mapping[str, Path], images: Sequence[Path]
 ) -> str:
-    """The page of a results document: one self-contained file that needs no network.
+    """Renders results.json as one self-contained page.
 
-    Args:
-        document: see ``results``.
-        charts: SVG files by what they show, see :func:`~.study_figures.draw_charts`.
-        pictures: PNG files ``example_N.png`` and ``insides_N.png``.
+    ``charts`` are SVG files by name, ``images`` the files ``example_N.png`` and ``insides_N.png``.
     """
     records = document["records"]
     environment = Environment(
@@ -67,7 +54,7 @@ def report_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template(TEMPLATE).render(
+    return environment.get_template("report.html.j2").render(
         command=document["command"],
         tests=report_tables.TESTS,
         paper=published,
@@ -80,25 +67,25 @@ def report_page(
         training_table=report_tables.training_table(records),
         cost_table=report_tables.cost_table(records),
         charts={name: data_uri(path) for name, path in charts.items()},
-        pictures=[(path.stem, data_uri(path)) for path in pictures],
+        images=[(path.stem, data_uri(path)) for path in images],
         origin=_origin(document),
     )
 
 
 def data_uri(path: Path) -> str:
-    """An SVG or PNG file as an address that holds it."""
+    """Encodes an SVG or PNG file as a data URI."""
     data = base64.b64encode(path.read_bytes()).decode()
     return f"data:{_IMAGE_TYPES[path.suffix]};base64,{data}"
 
 
 def _by_test(records: report_tables.Records, make: Any) -> dict[str, report_tables.Table]:
-    """Tables by test, those without results left out."""
-    made = {test: make(records, test) for test in report_tables.TESTS}
-    return {test: table for test, table in made.items() if table is not None}
+    """Makes the table of each test that has results."""
+    tables = {test: make(records, test) for test in report_tables.TESTS}
+    return {test: table for test, table in tables.items() if table is not None}
 
 
 def _origin(document: Mapping[str, Any]) -> dict[str, Sequence[str]]:
-    """Where the results come from: texts by name, of which a list is set as code."""
+    """Returns how the results were made: texts by name; a list is set as code."""
     runs = [r for r in document["records"] if r["metric"] == "run"]
     versions = ", ".join(f"{name} {version}" for name, version in document["versions"].items())
     entries: dict[str, Sequence[str]] = {

@@ -1,14 +1,14 @@
-"""The tables of the study's page, from its records. A table without results is None."""
+"""The tables of the report, from the study's records. A table without results is None."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from .. import METHODS
 from . import published
-from .units import BEST_GAP, DEFAULT_WEIGHTS, GAPS, has_both_errors
+from .plan import BEST_GAP, DEFAULT_WEIGHTS, GAPS, has_both_errors
 
 Records = Sequence[Mapping[str, Any]]
 Record = Mapping[str, Any] | None
@@ -16,19 +16,12 @@ Record = Mapping[str, Any] | None
 TESTS = {"linemod": "LineMOD-style", "occlusion": "Occlusion-style"}
 
 _FORMATS = {"mm": (1000.0, ".1f"), "%": (100.0, ".1f"), "points": (100.0, "+.1f")}
-"""Unit -> scale and format: meters as mm, shares as percent or as percentage points."""
+"""Unit -> scale and format: meters as mm, shares as percent or percentage points."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of a table.
-
-    Attributes:
-        text: what it says; empty: a dash.
-        interval: small text under it.
-        best: whether it is set in bold.
-        published: whether it is of the paper.
-    """
+    """One cell: text (empty: a dash), interval in small print, bold if best, or of the paper."""
 
     text: str = ""
     interval: str = ""
@@ -38,15 +31,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
-
-    Attributes:
-        groups: titles above the columns, and how many columns each spans.
-        head: names of the columns.
-        rows: their cells.
-        notes: paragraphs below it.
-        last_is_mean: whether the last row is set apart.
-    """
+    """A table: titles with the number of columns they span, heads, rows, paragraphs below."""
 
     groups: Sequence[tuple[str, int]]
     head: Sequence[Cell]
@@ -56,7 +41,7 @@ class Table:
 
 
 def find(records: Records, **tags: Any) -> Record:
-    """The first record with these tags, or None."""
+    """Returns the first record with these tags, or None."""
     return next((r for r in records if all(r.get(k) == v for k, v in tags.items())), None)
 
 
@@ -74,9 +59,9 @@ def keypoint_table(records: Records, scene: str) -> Table | None:
     tags = {"metric": "keypoint_distance_median", "scene": scene}
     for method in methods:
         found = [find(records, **tags, method=method, gap=gap) for gap in GAPS]
-        values = [f"{1000 * record['value']:.1f}" for record in found if record]
-        if values:
-            medians.append(f"{method} {', '.join(values)}")
+        if any(found):
+            values = ", ".join(_format(record["value"], "mm") for record in found if record)
+            medians.append(f"{method} {values}")
     groups = [("", 1), ("ours, simulated", len(methods)), _paper_group(scene)]
     head = [*map(Cell, ("gap", *methods)), Cell("mid", published=True)]
     note = f"Medians at gaps 1, 5 and 10: {'; '.join(medians)} mm."
@@ -107,29 +92,22 @@ def recall_table(records: Records, scene: str) -> Table | None:
     gain = published.RESULTS.get(("add_s_recall_difference", scene, BEST_GAP))
     if gain is not None:
         notes.append(f"The paper's gain over rgbd: {_format(gain, 'points')} points.")
-    notes.append(
-        "Of the paper only the mean stands here: its results by object are not in the sources that "
-        "this page is made from."
-    )
+    notes.append(published.NO_RESULTS_BY_OBJECT)
     groups = [("", 1), ("ours, simulated", len(METHODS)), _paper_group(scene), ("", 1)]
     head = [*map(Cell, ("object", *METHODS)), Cell("mid", published=True), Cell("pairs")]
     return Table(groups, head, rows, notes, last_is_mean=True)
 
 
 def solver_table(records: Records) -> Table | None:
-    """Recall by solver, and what Soft RANSAC gains."""
+    """Recall by solver, and the gain of Soft RANSAC."""
     rows = []
     for scene in ("occlusion", "linemod"):
         for method in METHODS:
             tags = {"scene": scene, "method": method, "gap": BEST_GAP}
-            results = [
-                find(records, metric="solver_recall", solver=solver, **tags)
-                for solver in ("soft", "kabsch", "hard")
-            ]
-            gains = [
-                find(records, metric="solver_recall_difference", against=other, **tags)
-                for other in ("kabsch", "hard")
-            ]
+            by_solver = {"metric": "solver_recall", **tags}
+            results = [find(records, solver=s, **by_solver) for s in ("soft", "kabsch", "hard")]
+            gain = {"metric": "solver_recall_difference", **tags}
+            gains = [find(records, against=other, **gain) for other in ("kabsch", "hard")]
             if any(results):
                 cells = [_cell(gain, "points") for gain in gains]
                 name = Cell(f"{TESTS[scene]}, {method}")
@@ -140,7 +118,7 @@ def solver_table(records: Records) -> Table | None:
 
 
 def noise_table(records: Records) -> Table | None:
-    """Recall and keypoint distance under errors of the relative pose, both at once."""
+    """Recall and keypoint distance under rotation and translation errors of the relative pose."""
     chosen = [r for r in records if r["metric"] == "noise_add_s_recall"]
     curves = sorted(
         {(r["method"], r["training"]) for r in chosen},
@@ -150,12 +128,10 @@ def noise_table(records: Records) -> Table | None:
     rows = []
     for rotation, translation in sorted(levels):
         row = [Cell(f"{rotation:g}°, {1000 * translation:g} mm")]
-        tags = {"rotation_deg": rotation, "translation": translation}
+        tags: dict[str, Any] = {"rotation_deg": rotation, "translation": translation}
         for metric, unit, best in _MEASURES:
-            results = [
-                find(records, metric=f"noise_{metric}", method=method, training=training, **tags)
-                for method, training in curves
-            ]
+            tags["metric"] = f"noise_{metric}"
+            results = [find(records, method=m, training=t, **tags) for m, t in curves]
             row += _ranked(results, unit, best)
         rows.append(row)
     names = [m if t == DEFAULT_WEIGHTS else f"{m}, trained with {t}" for m, t in curves]
@@ -165,7 +141,7 @@ def noise_table(records: Records) -> Table | None:
 
 
 def training_table(records: Records) -> Table | None:
-    """What weights of other trainings reach, beside the default ones on the same pairs."""
+    """Recall and keypoint distance of other weights and the default ones, on the same pairs."""
     rows = []
     for record in records:
         training = record.get("training")
@@ -175,19 +151,19 @@ def training_table(records: Records) -> Table | None:
         row = [Cell(f"{training}, {TESTS[record['scene']]}")]
         for metric, unit, best in _MEASURES:
             name = f"training_{metric}"
-            usual = find(records, metric=name, paired_with=training, **tags)
+            baseline = find(records, metric=name, paired_with=training, **tags)
             other = find(records, metric=name, training=training, **tags)
             gain = find(records, metric=f"{name}_difference", training=training, **tags)
             gain_unit = "points" if unit == "%" else unit
-            row += [*_ranked([usual, other], unit, best), _cell(gain, gain_unit)]
+            row += [*_ranked([baseline, other], unit, best), _cell(gain, gain_unit)]
         rows.append(row)
     groups = [("", 1), *((title, 3) for title in _MEASURE_TITLES)]
-    head = [Cell(name) for name in ("weights, test", *["usual", "other", "gain"] * 2)]
+    head = [Cell(name) for name in ("weights, test", *["baseline", "other", "gain"] * 2)]
     return Table(groups, head, rows) if rows else None
 
 
 def cost_table(records: Records) -> Table | None:
-    """Milliseconds a pair."""
+    """Milliseconds per pair."""
     chosen = [r for r in records if r["metric"] == "seconds_per_pair"]
     batches = sorted({r["batch"] for r in chosen})
     rows = []
@@ -207,31 +183,28 @@ _MEASURES: tuple[tuple[str, str, Callable[..., float]], ...] = (
     ("add_s_recall", "%", max),
     ("keypoint_distance", "mm", min),
 )
-"""Metric, the unit that it is shown in, and which of several is best."""
+"""Metric, display unit, and what selects the best."""
 
 _MEASURE_TITLES = ("ADD(-S) < 0.1 d, %", "keypoint distance, mm")
 
 
 def _ranked(records: Sequence[Record], unit: str, best: Callable[..., float]) -> list[Cell]:
-    """Cells of one row, the best in bold unless all are equal, as they are shown."""
-    values = [None if r is None else float(_format(r["value"], unit)) for r in records]
-    known = {value for value in values if value is not None}
+    """Makes the cells of one row; the best as displayed are bold, unless all are equal."""
+    cells = [_cell(record, unit) for record in records]
+    known = {float(cell.text) for cell in cells if cell.text}
     top = best(known) if len(known) > 1 else None
-    return [
-        _cell(record, unit, value is not None and value == top)
-        for record, value in zip(records, values, strict=True)
-    ]
+    return [replace(c, best=bool(c.text) and float(c.text) == top) for c in cells]
 
 
-def _cell(record: Record, unit: str, best: bool = False) -> Cell:
-    """A result with its interval."""
+def _cell(record: Record, unit: str) -> Cell:
+    """Makes the cell of a result with its interval."""
     if record is None:
         return Cell()
-    return Cell(_format(record["value"], unit), _interval(record, unit), best)
+    return Cell(_format(record["value"], unit), _interval(record, unit))
 
 
 def _paper_cell(metric: str, scene: str, gap: int | str, unit: str) -> Cell:
-    """Mid-Fusion's published result, or an empty cell."""
+    """Makes the cell of Mid-Fusion's published result, empty if there is none."""
     value = published.RESULTS.get((metric, scene, gap))
     return Cell("" if value is None else _format(value, unit), published=True)
 
@@ -246,7 +219,7 @@ def _format(value: float, unit: str) -> str:
 
 
 def _interval(record: Mapping[str, Any], unit: str) -> str:
-    """A record's interval, or empty text."""
+    """Formats the interval of a record; empty if it has none."""
     if "low" not in record:
         return ""
     return f"{_format(record['low'], unit)} to {_format(record['high'], unit)}"

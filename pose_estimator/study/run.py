@@ -1,4 +1,4 @@
-"""Runs the study from its options to its records; what is measured already is not run again."""
+"""Runs the study from its options to its records, and resumes from its logs."""
 
 from __future__ import annotations
 
@@ -16,72 +16,63 @@ from ..methods import METHOD_TABLE, PARTS
 from ..networks.container import PoseNetworks
 from ..networks.weights import load_networks
 from .config import CompareConfig
-from .cost import measure
+from .cost import measure_cost
 from .gallery import draw_gallery, timed_pairs
 from .log import OutcomeLog, PairOutcome
-from .study import OUTCOME_FORMAT, Estimator, StudySet, run_unit
+from .measure import OUTCOME_FORMAT, Estimator, StudySet, measure_run
+from .plan import DEFAULT_WEIGHTS, NO_POSE_LOSS, NOISY, Run, plan
 from .tables import Record, tables
-from .units import DEFAULT_WEIGHTS, NO_POSE_LOSS, NOISY, Unit, plan
 
 
 @dataclass(eq=False)
 class Study:
-    """A study in progress.
-
-    Attributes:
-        config: what is asked for.
-        tests: by name.
-        records: of what was run, and what is not available.
-    """
+    """A study in progress: its options, its tests by name, and the records so far."""
 
     config: CompareConfig
     tests: Mapping[str, StudySet]
     records: list[Record] = field(default_factory=list)
 
     def run(self) -> list[Record]:
-        """Measures everything, draws the pictures, and returns all records.
+        """Measures everything, draws the examples, and returns all records.
 
         Raises:
             InputError: if the weights lack what every method needs, or the folder holds outcomes
                 of other weights or options.
             FileNotFoundError: if there are no such weights.
         """
+        config = self.config
         estimators = self.load_all()
-        usual = {m: e for (m, training), e in estimators.items() if training == DEFAULT_WEIGHTS}
-        if not usual:
-            raise InputError(f"none of {', '.join(self.config.methods)} can be run")
-        units = plan(
-            self.config.methods, [DEFAULT_WEIGHTS, *self.other_weights()],
-            per_object=self.config.pairs, noise_per_object=self.config.noise_pairs,
-            per_gap=self.config.per_gap,
-        )  # fmt: skip
-        # Outcomes that do not fit are noticed before an hour is spent on others.
+        baseline = {m: e for (m, training), e in estimators.items() if training == DEFAULT_WEIGHTS}
+        if not baseline:
+            raise InputError(f"none of {', '.join(config.methods)} can be run")
+        trainings = [DEFAULT_WEIGHTS, *self.other_weights()]
+        limits = {"per_object": config.pairs, "noise_per_object": config.noise_pairs}
+        # Opens all logs first: one that does not match is an error before hours of measuring.
         logs = {
-            unit: self.open_log(unit, networks_of(estimators[unit.method, unit.training]))
-            for unit in units
-            if (unit.method, unit.training) in estimators
+            run: self.open_log(run, networks_of(estimators[run.method, run.training]))
+            for run in plan(config.methods, trainings, **limits, per_gap=config.per_gap)
+            if (run.method, run.training) in estimators
         }
         outcomes = {
-            unit: self.run_unit(unit, estimators[unit.method, unit.training], log)
-            for unit, log in logs.items()
+            run: self.measure(run, estimators[run.method, run.training], log)
+            for run, log in logs.items()
         }
         self.records += tables(outcomes)
-        objects = networks_of(next(iter(usual.values()))).objects
+        objects = networks_of(next(iter(baseline.values()))).objects
         tests = list(self.tests.values())
-        draw_gallery(
-            tests, usual, objects, self.config.out / "figures",
-            count=self.config.pictures, seed=self.config.seed,
-        )  # fmt: skip
-        self.records += measure(usual, timed_pairs(tests[0], objects), self.config.cost_repeats)
-        return [*map(describe, self.tests.values()), *self.records]
+        draw = {"count": config.pictures, "seed": config.seed}
+        draw_gallery(tests, baseline, objects, config.out / "figures", **draw)
+        pairs = timed_pairs(tests[0], objects)
+        self.records += measure_cost(baseline, pairs, config.cost_repeats)
+        return [*map(describe, tests), *self.records]
 
     def other_weights(self) -> dict[str, str]:
-        """Weights of other trainings by the training's name."""
-        given = {NOISY: self.config.noisy_weights, NO_POSE_LOSS: self.config.no_pose_loss_weights}
-        return {training: weights for training, weights in given.items() if weights is not None}
+        """Returns the weights of other trainings, by the training's name."""
+        files = {NOISY: self.config.noisy_weights, NO_POSE_LOSS: self.config.no_pose_loss_weights}
+        return {training: file for training, file in files.items() if file is not None}
 
     def load_all(self) -> dict[tuple[str, str], Estimator]:
-        """Every method with every training; those whose networks are missing become records."""
+        """Loads every method with every training; adds a record for those that lack networks."""
         loaded: dict[tuple[str, str], Estimator] = {}
         device, threads = self.config.device, self.config.threads
         wanted = [(method, DEFAULT_WEIGHTS, self.config.weights) for method in self.config.methods]
@@ -97,52 +88,47 @@ class Study:
                 f"train-estimator --stages {missing[0]} --init {weights} adds it"
             )
             print(f"{method} is not available: {reason}")
-            self.records.append(
-                {
-                    "metric": "missing", "value": 1, "unit": "", "method": method,
-                    "training": training, "reason": reason,
-                }
-            )  # fmt: skip
+            tags = {"method": method, "training": training, "reason": reason}
+            self.records.append({"metric": "missing", "value": 1, "unit": "", **tags})
         return loaded
 
-    def open_log(self, unit: Unit, networks: PoseNetworks) -> OutcomeLog:
-        """The outcomes of a unit that are measured already.
+    def open_log(self, run: Run, networks: PoseNetworks) -> OutcomeLog:
+        """Opens the log of a run, with the outcomes so far.
 
         Raises:
-            InputError: if they were measured with something else.
+            InputError: if they were measured with other weights, pairs or options.
         """
-        pairs = self.tests[unit.test].dataset.root / PAIRS_FILE
+        pairs = self.tests[run.test].dataset.root / PAIRS_FILE
         key = {
             "format": OUTCOME_FORMAT,
-            "unit": asdict(unit),
-            "networks": networks_digest(networks, unit.method),
+            "unit": asdict(run),
+            "networks": networks_digest(networks, run.method),
             "pairs": hashlib.sha256(pairs.read_bytes()).hexdigest()[:16],
             "seed": self.config.seed,
         }
-        return OutcomeLog(self.config.out / "outcomes" / f"{unit.name}.jsonl", key, commit())
+        return OutcomeLog(self.config.out / "outcomes" / f"{run.name}.jsonl", key, commit())
 
-    def run_unit(self, unit: Unit, estimator: Estimator, log: OutcomeLog) -> list[PairOutcome]:
-        """Measures a unit, or resumes it."""
-        test, objects = self.tests[unit.test], networks_of(estimator).objects
-        outcomes = run_unit(unit, estimator, test, objects, log, seed=self.config.seed)
-        self.records.append(
-            {
-                "metric": "run", "value": len(outcomes), "unit": "pairs", "scene": unit.test,
-                "method": unit.method, "training": unit.training,
-                "rotation_deg": unit.rotation, "translation": unit.translation,
-                "networks": log.key["networks"], "commits": " ".join(log.commits),
-            }
-        )  # fmt: skip
+    def measure(self, run: Run, estimator: Estimator, log: OutcomeLog) -> list[PairOutcome]:
+        """Measures a run, or resumes it, and adds a record of how it was made."""
+        test, objects = self.tests[run.test], networks_of(estimator).objects
+        outcomes = measure_run(run, estimator, test, objects, log, seed=self.config.seed)
+        record = {
+            "metric": "run", "value": len(outcomes), "unit": "pairs", "scene": run.test,
+            "method": run.method, "training": run.training,
+            "rotation_deg": run.rotation, "translation": run.translation,
+            "networks": log.key["networks"], "commits": " ".join(log.commits),
+        }  # fmt: skip
+        self.records.append(record)
         return outcomes
 
 
 def networks_of(estimator: Estimator) -> PoseNetworks:
-    """The networks of one of our estimators."""
+    """Returns the networks of one of our estimators."""
     return estimator.networks  # type: ignore[attr-defined]
 
 
 def networks_digest(networks: PoseNetworks, method: str) -> str:
-    """A digest of the weights, those that only other methods need left out."""
+    """Computes a digest of the weights that a method uses."""
     others = set(PARTS) - set(METHOD_TABLE[method].parts)
     sha = hashlib.sha256()
     for name, value in networks.state_dict().items():
@@ -152,7 +138,7 @@ def networks_digest(networks: PoseNetworks, method: str) -> str:
 
 
 def describe(test: StudySet) -> Record:
-    """The record of a test."""
+    """Returns the record of a test."""
     sequences = {pair.scene_id for pair in test.pairs}
     references = {(pair.scene_id, pair.ref_image_id) for pair in test.pairs}
     return {

@@ -1,7 +1,7 @@
-"""From outcomes to the records of results.json: every number of the report.
+"""Turns outcomes into the records of results.json: every result of the report.
 
-Intervals are of 95 percent, from a bootstrap over sequences (``intervals``). Means over objects
-count every object the same, means over gaps every gap.
+Intervals are of 95 percent, from a bootstrap over sequences (``evaluation/intervals.py``). Means
+weight all objects, and all gaps, equally.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from ..evaluation.intervals import clustered_mean
 from ..evaluation.metrics import CORRECT
 from ..methods import METHODS
 from .log import PairOutcome
-from .units import BEST_GAP, DEFAULT_WEIGHTS, Unit
+from .plan import BEST_GAP, DEFAULT_WEIGHTS, Run
 
 Record = dict[str, Any]
 
-NEAR = 0.03
-"""Distance in meters below which a keypoint counts as found."""
+MAX_KEYPOINT_ERROR = 0.03
+"""Error below which a keypoint counts as found, m."""
 
-DISTANCE_STEP = 0.1
-"""Width in meters of the classes of camera distance."""
+DISTANCE_BIN = 0.1
+"""Width of the bins of camera distance, m."""
 
 Grouping = Callable[[PairOutcome], Hashable]
 
@@ -38,10 +38,10 @@ MEASURES: Mapping[str, tuple[str, Callable[[PairOutcome], float]]] = {
 """Metric -> its unit, and its value for one outcome."""
 
 
-def tables(outcomes: Mapping[Unit, Sequence[PairOutcome]]) -> list[Record]:
-    """The records of all that was measured."""
+def tables(outcomes: Mapping[Run, Sequence[PairOutcome]]) -> list[Record]:
+    """Returns the records of all runs."""
     records: list[Record] = []
-    main = {(unit.test, unit.method): o for unit, o in outcomes.items() if unit.part == "main"}
+    main = {(run.test, run.method): o for run, o in outcomes.items() if run.part == "main"}
     for (scene, method), found in main.items():
         tags = {"scene": scene, "method": method}
         records += method_records(found, tags) + solver_records(found, tags)
@@ -49,23 +49,18 @@ def tables(outcomes: Mapping[Unit, Sequence[PairOutcome]]) -> list[Record]:
             for against in (other for other in METHODS if other != "mid"):
                 other = main.get((scene, against), [])
                 records += difference_records(found, other, {**tags, "against": against})
-    for unit, found in outcomes.items():
-        tags = {"scene": unit.test, "method": unit.method, "training": unit.training}
-        if unit.part == "training":
-            records += training_records(found, main.get((unit.test, unit.method), []), tags)
-        elif unit.part == "noise":
-            errors = {"rotation_deg": unit.rotation, "translation": unit.translation}
+    for run, found in outcomes.items():
+        tags = {"scene": run.test, "method": run.method, "training": run.training}
+        if run.part == "training":
+            records += training_records(found, main.get((run.test, run.method), []), tags)
+        elif run.part == "noise":
+            errors = {"rotation_deg": run.rotation, "translation": run.translation}
             records += noise_records(found, {**tags, **errors})
     return records
 
 
 def method_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> list[Record]:
-    """What one method reaches on one test: by object and gap, and the means.
-
-    Args:
-        outcomes: of all gaps.
-        tags: ``method`` and ``scene``.
-    """
+    """Returns the results of one method on one test: by object and gap, and the means."""
     by_gap = {g: [o for o in outcomes if o.gap == g] for g in sorted({o.gap for o in outcomes})}
     records = []
     for metric in MEASURES:
@@ -77,26 +72,24 @@ def method_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> 
         by = attrgetter("gap", "object_name")
         records.append(_mean(metric, outcomes, by, object="mean", gap="mean"))
     for gap, at_gap in by_gap.items():
-        median = float(np.median([o.keypoint_distance for o in at_gap]))
-        records.append(
-            {"metric": "keypoint_distance_median", "value": median, "unit": "m", "gap": gap}
-        )
-    records += _by_distance(by_gap.get(BEST_GAP, []))
+        median = {"value": float(np.median([o.keypoint_distance for o in at_gap])), "unit": "m"}
+        records.append({"metric": "keypoint_distance_median", **median, "gap": gap})
+    records += _recall_by_distance(by_gap.get(BEST_GAP, []))
     return [record | dict(tags) for record in records]
 
 
-def _by_distance(outcomes: Sequence[PairOutcome]) -> list[Record]:
-    """Share of the keypoints found, by object and by how far the camera is."""
-    classes: dict[tuple[str, int], list[PairOutcome]] = {}
+def _recall_by_distance(outcomes: Sequence[PairOutcome]) -> list[Record]:
+    """Computes the share of keypoints found, by object and camera distance."""
+    bins: dict[tuple[str, int], list[PairOutcome]] = {}
     for outcome in outcomes:
-        step = int(outcome.camera_distance // DISTANCE_STEP)
+        step = int(outcome.camera_distance // DISTANCE_BIN)
         for name in (outcome.object_name, "mean"):
-            classes.setdefault((name, step), []).append(outcome)
+            bins.setdefault((name, step), []).append(outcome)
     records = []
-    for (name, step), group in sorted(classes.items()):
-        found = [float(np.mean(np.array(o.distances) < NEAR)) for o in group]
+    for (name, step), group in sorted(bins.items()):
+        found = [float(np.mean(np.array(o.distances) < MAX_KEYPOINT_ERROR)) for o in group]
         by = _object_name if name == "mean" else None
-        tags = {"object": name, "gap": BEST_GAP, "distance": round((step + 0.5) * DISTANCE_STEP, 3)}
+        tags = {"object": name, "gap": BEST_GAP, "distance": round((step + 0.5) * DISTANCE_BIN, 3)}
         records.append(_record("keypoint_recall", "", found, group, by, **tags))
     return records
 
@@ -104,13 +97,7 @@ def _by_distance(outcomes: Sequence[PairOutcome]) -> list[Record]:
 def difference_records(
     first: Sequence[PairOutcome], second: Sequence[PairOutcome], tags: Mapping[str, Any]
 ) -> list[Record]:
-    """How much better (recall) or worse (distance) a method is than another on the same pairs.
-
-    Args:
-        first: one method's outcomes.
-        second: the other's, which are taken away.
-        tags: ``method``, ``against`` and ``scene``.
-    """
+    """Returns the differences in recall and distance, first minus second, on the same pairs."""
     records = []
     for gap in sorted({o.gap for o in first}):
         pairs = _matched([o for o in first if o.gap == gap], second)
@@ -120,7 +107,7 @@ def difference_records(
 
 
 def solver_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> list[Record]:
-    """Recall had the pose been solved from the same keypoints by another solver."""
+    """Returns the recall of each solver on the same keypoints, and Soft RANSAC's gain."""
     records: list[Record] = []
     solved = [o for o in outcomes if o.solver_errors]
     for gap in sorted({o.gap for o in solved}):
@@ -130,17 +117,17 @@ def solver_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> 
             for solver in group[0].solver_errors
         }
         for solver, values in correct.items():
-            found = {"solver": solver, "gap": gap}
-            records.append(_record("solver_recall", "", values, group, _object_name, **found))
+            metric, names = "solver_recall", {"solver": solver, "gap": gap}
+            records.append(_record(metric, "", values, group, _object_name, **names))
             if solver != "soft":
-                gain, metric = correct["soft"] - values, "solver_recall_difference"
-                found = {"solver": "soft", "against": solver, "gap": gap}
-                records.append(_record(metric, "", gain, group, _object_name, **found))
+                metric, gain = "solver_recall_difference", correct["soft"] - values
+                names = {"solver": "soft", "against": solver, "gap": gap}
+                records.append(_record(metric, "", gain, group, _object_name, **names))
     return [record | dict(tags) for record in records]
 
 
 def noise_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> list[Record]:
-    """What a method reaches with an inexact relative pose; ``tags`` say how inexact."""
+    """Returns the results of a method with an inexact relative pose."""
     return [
         _mean(metric, outcomes, _object_name, "noise", **tags)
         for metric in ("add_s_recall", "keypoint_distance")
@@ -148,24 +135,24 @@ def noise_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> l
 
 
 def training_records(
-    outcomes: Sequence[PairOutcome], usual: Sequence[PairOutcome], tags: Mapping[str, Any]
+    outcomes: Sequence[PairOutcome], baseline: Sequence[PairOutcome], tags: Mapping[str, Any]
 ) -> list[Record]:
-    """What other weights reach, and how much more the default ones do on the same pairs.
+    """Returns the results of other weights, and the gain of the default ones on the same pairs.
 
     Args:
         outcomes: with the other weights.
-        usual: with the default ones.
-        tags: ``method``, ``scene`` and ``training``; the records of the default weights on the same
-            pairs have the tag ``paired_with`` instead of the latter.
+        baseline: with the default ones.
+        tags: ``method``, ``scene`` and ``training``; the records of the default weights have the
+            latter as ``paired_with``.
     """
     records = []
-    pairs = _matched(usual, outcomes)
+    pairs = _matched(baseline, outcomes)
     for metric in ("add_s_recall", "keypoint_distance"):
         records.append(_mean(metric, outcomes, _object_name, "training", **tags))
         if pairs:
-            baseline = {**tags, "training": DEFAULT_WEIGHTS, "paired_with": tags["training"]}
+            paired = {**tags, "training": DEFAULT_WEIGHTS, "paired_with": tags["training"]}
             matched = [ours for ours, _ in pairs]
-            records.append(_mean(metric, matched, _object_name, "training", **baseline))
+            records.append(_mean(metric, matched, _object_name, "training", **paired))
             records.append(_difference(metric, pairs, "training", **tags))
     return records
 
@@ -173,7 +160,7 @@ def training_records(
 def _matched(
     first: Iterable[PairOutcome], second: Iterable[PairOutcome]
 ) -> list[tuple[PairOutcome, PairOutcome]]:
-    """Outcomes of the same object in the same pair of views."""
+    """Matches outcomes of the same object in the same pair of views."""
     others = {outcome.key: outcome for outcome in second}
     return [(outcome, others[outcome.key]) for outcome in first if outcome.key in others]
 
@@ -181,7 +168,7 @@ def _matched(
 def _mean(
     metric: str, outcomes: Sequence[PairOutcome], by: Grouping | None, part: str = "", **tags: Any
 ) -> Record:
-    """The record of a measure's mean; ``part`` of the study begins its name."""
+    """Returns the record of a metric's mean; ``part`` of the study is its prefix."""
     unit, measure = MEASURES[metric]
     name = f"{part}_{metric}" if part else metric
     return _record(name, unit, [measure(o) for o in outcomes], outcomes, by, **tags)
@@ -190,7 +177,7 @@ def _mean(
 def _difference(
     metric: str, pairs: Sequence[tuple[PairOutcome, PairOutcome]], part: str = "", **tags: Any
 ) -> Record:
-    """The record of the mean over the objects of the mean difference."""
+    """Returns the record of the mean over the objects of the mean difference."""
     unit, measure = MEASURES[metric]
     name = f"{part}_{metric}_difference" if part else f"{metric}_difference"
     values = [measure(a) - measure(b) for a, b in pairs]
@@ -205,13 +192,12 @@ def _record(
     by: Grouping | None,
     **tags: Any,
 ) -> Record:
-    """The record of the mean of values, one for each outcome.
+    """Returns the record of the mean over groups (``by``) of the mean of values within each.
 
-    It is the mean over the groups (``by``) of the mean within each, and has no ``low`` and ``high``
-    where there is no interval.
+    Without an interval it has no ``low`` and ``high``.
     """
     groups = None if by is None else [by(o) for o in outcomes]
-    estimate = clustered_mean(values, [o.scene_id for o in outcomes], groups)
-    ends = {"low": estimate.low, "high": estimate.high} if estimate.low is not None else {}
-    counts = {"n": estimate.n, "sequences": estimate.sequences}
-    return {"metric": metric, "value": estimate.value, "unit": unit, **ends, **counts, **tags}
+    mean = clustered_mean(values, [o.scene_id for o in outcomes], groups)
+    interval = {"low": mean.low, "high": mean.high} if mean.low is not None else {}
+    counts = {"n": mean.n, "sequences": mean.sequences}
+    return {"metric": metric, "value": mean.value, "unit": unit, **interval, **counts, **tags}

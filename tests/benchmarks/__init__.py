@@ -1,5 +1,6 @@
-"""How quick things are, as ratios to what others would use: ``python tests/benchmarks --help``.
+"""Speed as ratios to alternatives: ``python tests/benchmarks --help``.
 
-One file a comparison. Each has a function ``measure``, which takes the options and yields records
-of the results file; ``config.GROUPS`` lists them.
+``groups/`` has one file per comparison, listed in ``config.GROUPS``; ``command.py`` runs them, each
+in its own process, and ``results_file.py`` makes that resumable. ``stopwatch.py`` times,
+``table.py`` formats. ``tests/`` tests the benchmarks; ``results/`` has the results in README.
 """

@@ -1,8 +1,8 @@
-"""``python tests/benchmarks``: how quick things are (and how robust), as ratios to alternatives.
+"""``python tests/benchmarks``: speed and robustness, as ratios to alternatives.
 
-Machines differ and drift, so both sides of a ratio take turns in one run, and medians count. Each
-group of comparisons has a process of its own, which isolates the state of the libraries. Every line
-is printed and written as soon as it is measured; an interrupted run resumes with the same command.
+Both sides of a ratio take turns in one run, because machines drift, and medians count. Each group
+of comparisons runs in its own process, which isolates the state of the libraries. Every record is
+printed and written as soon as it is measured; the same command resumes an interrupted run.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from rich.console import Console
 from two_view_pose.core.files import write_atomically
 
 from .config import GROUPS, BenchConfig
-from .kept import Measured, conditions
 from .own_process import each_from_own_process
+from .results_file import ResultsFile, conditions
 from .stopwatch import MISSING, Record
 from .table import markdown, one_line, table
 
 _WIDTH = 150
-"""Of the table in characters, where it is not printed in a terminal."""
+"""Width of the table in characters, if the output is not a terminal."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def bench(config: BenchConfig) -> None:
     """Runs the comparisons and prints them."""
-    # MuJoCo's own renderer decides on its back-end when it is imported, and prefers a window.
+    # MuJoCo's renderer selects its back-end when it is imported, and prefers a window.
     os.environ.setdefault("MUJOCO_GL", "egl")
     console = Console()
     if not console.is_terminal:
@@ -54,7 +54,7 @@ def bench(config: BenchConfig) -> None:
 
     names = ("repeats", "weights", "scenes", "soak")
     options = {name: getattr(config, name) for name in names}
-    measured = Measured(
+    measured = ResultsFile(
         config.json, config.seed, conditions(**options, groups=",".join(config.groups))
     )
     say(f"on {measured.conditions['processor']}")
@@ -62,7 +62,7 @@ def bench(config: BenchConfig) -> None:
     for number, group in enumerate(config.groups, start=1):
         title = f"{number}/{len(config.groups)} {group}: {GROUPS[group].summary}"
         if measured.finished(group):
-            say(f"{title}: measured already")
+            say(f"{title}: already measured")
             continue
         say(title)
         started = perf_counter()
@@ -72,7 +72,7 @@ def bench(config: BenchConfig) -> None:
                 say(f"  {one_line(line)}")
         measured.finish(group, perf_counter() - started)
     if config.soak:
-        from .memory import measure_memory
+        from .groups.memory import measure_memory
 
         for record in measure_memory(config.soak, config.seed):
             measured.add("memory", record)
@@ -83,11 +83,11 @@ def bench(config: BenchConfig) -> None:
     if config.markdown is not None:
         write_atomically(config.markdown, markdown(measured.records).encode())
     if config.figure is not None:
-        from .cost import draw_costs
+        from .groups.cost import draw_costs
 
         draw_costs(config.figure, measured.records)
 
 
 def run_group(group: str, config: BenchConfig) -> Iterator[Record]:
     """One of ``GROUPS``; imports only what it needs."""
-    yield from import_module(f".{GROUPS[group].module}", __package__).measure(config)
+    yield from import_module(f".groups.{GROUPS[group].module}", __package__).measure(config)

@@ -16,7 +16,7 @@ class Group(NamedTuple):
     Attributes:
         module: the file that has their function ``measure``.
         summary: one line.
-        needs_weights: whether it asks a trained estimator.
+        needs_weights: whether it runs a trained estimator.
     """
 
     module: str
@@ -35,7 +35,7 @@ GROUPS = {
     ),
     "estimator": Group("estimator", "Mid-Fusion and a step, against PVNet and ResNet-18", True),
     "busy": Group(
-        "busy", "an estimate, a vector step and training beside busy processes, against alone", True
+        "busy", "an estimate, a vector step and training with busy processes, against alone", True
     ),
     "network": Group("network", "the 3D network's operations, against a large matrix product"),
     "solver": Group("solver", "Soft RANSAC, against the RANSACs of OpenCV and Open3D"),
@@ -44,12 +44,12 @@ GROUPS = {
     "generate": Group("generator", "images a second of the generator"),
     "cost": Group("cost", "cost against size, which --figure draws", True),
 }
-"""What --only chooses from, in the order in which they run."""
+"""The groups, in the order in which they run."""
 
 
 @dataclass(frozen=True)
 class BenchConfig:
-    """Times our work against what people would use instead, in one run."""
+    """Times our code against the alternatives, side by side in one run."""
 
     repeats: int = 15
     """Timed repeats of each side; the median counts."""
@@ -59,11 +59,11 @@ class BenchConfig:
     weights: str | None = "linemod"
     """Weights of the estimator; None leaves out what needs them."""
     scenes: int = 26
-    """Scenes of four images that the generator makes on two workers; 0 leaves that out."""
+    """Scenes of four images that the generator makes on two workers; 0 skips this group."""
     soak: int = 0
-    """Measure nothing but memory, over so many steps of the environment."""
+    """Only measure memory, over this number of steps of the environment."""
     seed: int = 0
-    """Of scenes, poses and actions."""
+    """Random seed of scenes, poses and actions."""
     json: Path | None = None
     """Results file, which holds each ratio as soon as it is measured. If it is that of an
     interrupted run with the same options, processor and code, the run resumes there."""
@@ -79,9 +79,9 @@ class BenchConfig:
             if group not in GROUPS:
                 raise ValueError(f"only must name some of {', '.join(GROUPS)}, got {group!r}")
         if self.repeats < 1:
-            raise ValueError(f"repeats must be at least 1, got {self.repeats}")
+            raise ValueError(f"repeats must be >= 1, got {self.repeats}")
         if self.figure is not None and "cost" not in self.groups:
-            raise ValueError("figure is drawn from the group cost, which is not among those to run")
+            raise ValueError("--figure needs the group cost, which is not selected")
 
     @property
     def groups(self) -> tuple[str, ...]:

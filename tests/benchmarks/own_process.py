@@ -1,4 +1,4 @@
-"""Runs a generator in a process of its own, and passes on what it yields."""
+"""Runs a generator in a fresh process, and yields its items."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 _GRACE = 1.0
-"""Seconds in which a process may end of itself: an interrupt from a terminal reaches it as well."""
+"""Seconds for a process to end by itself: an interrupt from a terminal reaches it as well."""
 
 T = TypeVar("T")
 
@@ -47,7 +47,7 @@ def each_from_own_process(function: Callable[..., Iterable[T]], *arguments: Any)
         ours.close()
         process.join(_GRACE if process.exitcode is None else 0)
         if process.is_alive() and process.pid is not None:
-            os.kill(process.pid, signal.SIGINT)  # so that it ends the processes of its own
+            os.kill(process.pid, signal.SIGINT)  # so that it ends its own child processes
         process.join()
 
 
@@ -56,7 +56,7 @@ def _send_each(pipe: Connection, function: Callable[..., Iterable[Any]], argumen
         for item in function(*arguments):
             pipe.send((item, None))
     except (BrokenPipeError, KeyboardInterrupt):
-        return  # nobody listens any more
+        return  # the consumer is gone
     except Exception as error:
         error.add_note(traceback.format_exc())
         pipe.send((None, error))

@@ -1,4 +1,4 @@
-"""Times two ways of doing one thing, side by side, as a record of the results file."""
+"""Times two implementations of one task side by side, as a record of the results file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 Record = dict[str, Any]
-"""One number of a results file, with its tags."""
+"""One result, with its tags."""
 
 WARM_UP = 2
 """Calls of each side that do not count."""
@@ -22,9 +22,9 @@ def missing(against: str, reason: str, install: str) -> Record:
     """The record of a comparison that was not made.
 
     Args:
-        against: what is not there, or does not work.
+        against: what is missing or does not work.
         reason: why.
-        install: what to type to have it.
+        install: how to install it.
     """
     names = {"against": against, "reason": reason, "install": install}
     return {"metric": MISSING, "value": 0, "unit": "", **names}

@@ -1,4 +1,4 @@
-"""What was measured, as a table in the terminal and as one in Markdown."""
+"""Formats the records as a table for the terminal and in Markdown."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def markdown(records: list[Record]) -> str:
 
 
 def measured_on(records: list[Record]) -> list[str]:
-    """On what processor the records were measured, and for which others they do not hold."""
+    """Returns the processor of the records, and where they do not hold."""
     text = "; ".join(dict.fromkeys(r["processor"] for r in records if "processor" in r))
     if not text:
         return []
@@ -38,7 +38,7 @@ def measured_on(records: list[Record]) -> list[str]:
 
 
 def one_line(record: Record) -> str:
-    """A record as it is printed when it was measured."""
+    """Formats a record as one line."""
     if record["metric"] == MISSING:
         against, reason, install = record["against"], record["reason"], record["install"]
         return f"not compared with {against} ({reason}). To install it: {install}"
@@ -46,8 +46,8 @@ def one_line(record: Record) -> str:
         return f"{record['value']:.3g} {record['unit']}  {record.get('work', record['metric'])}"
     work, against, *_, ratio, goal = cells(record)
     found = ratio or cells(record)[2]
-    beside = f" | {against}" if against else ""
-    return f"{found:>8}  {work}{beside} (goal {goal}: {'met' if met(record) else 'missed'})"
+    versus = f" | {against}" if against else ""
+    return f"{found:>8}  {work}{versus} (goal {goal}: {'met' if met(record) else 'missed'})"
 
 
 def rows(records: list[Record]) -> list[tuple[str, ...]]:
@@ -77,7 +77,7 @@ def cells(record: Record) -> tuple[str, ...]:
 
 
 def amount(record: Record, side: str = "") -> str:
-    """What one side of a comparison came to, for people."""
+    """Formats the result of one side of a comparison."""
     if f"share{side}" in record:
         return f"{100 * record[f'share{side}']:.1f} %"
     if f"flops_per_second{side}" in record:

@@ -1,4 +1,4 @@
-"""For tests of evaluations: a method that knows the truth, and outcomes made by hand."""
+"""For tests of evaluations: a method that returns the ground truth, and made outcomes."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from two_view_pose.pose_estimator.types import PoseEstimate
 
 
 class Oracle:
-    """Knows the truth by the look of the image, and errs by a fixed motion.
+    """Looks the true pose up by the image, and adds a fixed error.
 
     Args:
-        dataset: whose images it knows.
-        objects: whose poses it knows.
+        dataset: its images and true poses.
+        objects: that it estimates.
         T_error: of every pose, (4, 4) in the object's frame.
         strict: whether the relative pose must lead from one true pose to the other.
 
     Attributes:
-        requests: what it was given each time: views, object, and regions of interest if any.
+        requests: arguments of each call: views, object, and regions of interest if any.
     """
 
     def __init__(
@@ -49,12 +49,12 @@ class Oracle:
 
     @property
     def asked(self) -> list[tuple[int, str]]:
-        """How many views and which object, each time."""
+        """Number of views and object of each call."""
         return [(len(views), name) for views, name, *_ in self.requests]
 
     @property
     def relative_poses(self) -> list[np.ndarray]:
-        """T_second_ref (4, 4), each time that there were two views."""
+        """T_second_ref (4, 4) of each call with two views."""
         pairs = (views for views, *_ in self.requests if len(views) == 2)
         return [b.T_cam_world @ np.linalg.inv(a.T_cam_world) for a, b in pairs]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.metrics import add_s_of_bop, pose_pairs
+from benchmarks.groups.metrics import add_s_of_bop, pose_pairs
 from scipy.spatial.transform import Rotation
 from two_view_pose.core.geometry import make_transform, transform
 from two_view_pose.pose_estimator.evaluation import metrics

@@ -1,13 +1,13 @@
-"""What a pair costs, alone and in a batch."""
+"""Time per pair, one at a time and in a batch."""
 
 import numpy as np
 from two_view_pose.core.geometry import LINEMOD_K, View
-from two_view_pose.pose_estimator.study.cost import BATCH, measure
+from two_view_pose.pose_estimator.study.cost import BATCH, measure_cost
 from two_view_pose.pose_estimator.types import PoseEstimate
 
 
-class Alone:
-    """Notes what it is asked."""
+class Single:
+    """Records the number of views of each request."""
 
     object_names = ("cat",)
 
@@ -19,7 +19,7 @@ class Alone:
         return PoseEstimate(np.eye(4), np.zeros((9, 3)), np.zeros((9, 3, 3)))
 
 
-class Batched(Alone):
+class Batched(Single):
     def estimate_batch(self, requests) -> list[PoseEstimate]:
         answers = [self.estimate(*request) for request in requests]
         self.asked[-len(requests) :] = [[len(views) for views, _ in requests]]
@@ -37,7 +37,7 @@ def pairs(count: int):
 
 def test_all_methods_are_timed_in_turn():
     estimators = {"single": Batched(), "mid": Batched()}
-    records = measure(estimators, pairs(3), repeats=2, progress=False)
+    records = measure_cost(estimators, pairs(3), repeats=2, progress=False)
     found = [(r["method"], r["batch"]) for r in records]
     assert found == [("single", 1), ("single", BATCH), ("mid", 1), ("mid", BATCH)]
     assert all(r["metric"] == "seconds_per_pair" and r["value"] > 0 for r in records)
@@ -46,7 +46,7 @@ def test_all_methods_are_timed_in_turn():
     assert estimators["mid"].asked == [[2]] * 4 + [[2] * BATCH] * 3
 
 
-def test_a_method_that_answers_no_batches_has_its_cost_alone():
-    estimator = Alone()
-    records = measure({"mid": estimator}, pairs(3), repeats=3, progress=False)
+def test_methods_without_batches_are_timed_one_at_a_time():
+    estimator = Single()
+    records = measure_cost({"mid": estimator}, pairs(3), repeats=3, progress=False)
     assert [r["batch"] for r in records] == [1] and estimator.asked == [[2]] * 5

@@ -1,4 +1,4 @@
-"""The study's charts and pictures: what is drawn where."""
+"""The study's charts and example images."""
 
 from pathlib import Path
 
@@ -13,13 +13,13 @@ from two_view_pose.pose_estimator.fusion.mid import MidFusionEstimator
 from two_view_pose.pose_estimator.study.activations import capture_forward, plot_activations
 from two_view_pose.pose_estimator.study.figures import draw_charts
 from two_view_pose.pose_estimator.study.images import CROP, Example, draw_example
-from two_view_pose.pose_estimator.study.units import NOISE
+from two_view_pose.pose_estimator.study.plan import NOISE
 from two_view_pose.pose_estimator.types import PoseEstimate
 
 
 @pytest.fixture(scope="module")
 def example(dataset: Path, boxes) -> Example:
-    """The brick in two pictures of the flat data set."""
+    """The brick in two images of the flat dataset."""
     pair = read_pairs(dataset)[0]
     scene = read_dataset(dataset, "train_pbr").scene(pair.scene_id)
     reference, second = scene[pair.ref_image_id], scene[pair.second_image_id]
@@ -46,33 +46,32 @@ def test_crops_are_centered_on_the_object_in_both_views(example):
         pixels = project(transform(T, example.model.keypoints), K)
         np.testing.assert_allclose(pixels[-1], (CROP - 1) / 2, atol=1e-6)
         assert (pixels > 0).all() and (pixels < CROP).all()
-        # The brick's own color is at its middle, so the crop shows what the camera says.
+        # The color of the brick is at the center of the crop.
         assert crop[CROP // 2, CROP // 2, 0] > 150
 
 
 def test_an_example_is_drawn_for_every_method(example, tmp_path):
     path = draw_example(example, tmp_path / "figures" / "example_1.png")
-    picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
-    assert picture.shape[1] > 3 * 200 and picture.shape[0] > 600
-    orange = (abs(picture - (255, 122, 26)).sum(2) < 30).sum()
-    green = (abs(picture - (57, 190, 88)).sum(2) < 30).sum()
+    image = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    assert image.shape[1] > 3 * 200 and image.shape[0] > 600
+    orange = (abs(image - (255, 122, 26)).sum(2) < 30).sum()
+    green = (abs(image - (57, 190, 88)).sum(2) < 30).sum()
     assert orange > 100 and green > 100
 
 
-def test_a_keypoint_behind_the_camera_is_no_trouble(example, tmp_path):
+def test_keypoints_behind_the_camera_are_drawn(example, tmp_path):
     answer = example.answers["mid"]
     behind = PoseEstimate(answer.T_cam_obj, answer.keypoints - 5.0, answer.keypoint_covariance)
     odd = Example(**{**vars(example), "answers": {"mid": behind}})
     assert draw_example(odd, tmp_path / "a.png").is_file()
 
 
-def test_the_insides_of_mid_fusion(example, networks, tmp_path):
+def test_activations_of_mid_fusion(example, networks, tmp_path):
     estimator = MidFusionEstimator(networks)
     with capture_forward(networks.volume) as calls:
         path = plot_activations(example, {"mid": estimator}, None, tmp_path / "insides_1.png")
     assert path is not None and Image.open(path).width > 1000
-    assert calls  # by this test as well as by the drawing, which has let go again
-    assert not networks.volume.fine.trunk._forward_hooks
+    assert calls
     assert plot_activations(example, {"late": estimator}, None, tmp_path / "b.png") is None
 
 
@@ -80,8 +79,10 @@ def test_inputs_and_outputs_of_a_module_are_captured():
     layer = torch.nn.Linear(2, 1)
     with capture_forward(layer) as calls:
         out = layer(torch.ones(1, 2))
-    ((given,), told) = calls[0]
-    assert given.tolist() == [[1.0, 1.0]] and told is out
+    layer(torch.zeros(1, 2))
+    assert len(calls) == 1
+    ((inputs,), output) = calls[0]
+    assert inputs.tolist() == [[1.0, 1.0]] and output is out
 
 
 def records() -> list[dict]:

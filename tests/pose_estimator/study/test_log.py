@@ -1,4 +1,4 @@
-"""What is kept of a study that was killed."""
+"""Logs of outcomes, also after a killed run."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ def test_the_mean_over_the_keypoints():
     assert FIRST.keypoint_distance == pytest.approx(0.002)
 
 
-def test_outcomes_come_back(tmp_path):
+def test_outcomes_are_read_back(tmp_path):
     path = tmp_path / "sub" / "a.jsonl"
     OutcomeLog(path, KEY, "one").add([FIRST, SECOND])
     again = OutcomeLog(path, KEY, "two")
@@ -22,7 +22,7 @@ def test_outcomes_come_back(tmp_path):
     assert again.commits == ["one", "two"]
 
 
-def test_half_a_line_is_forgotten(tmp_path):
+def test_an_incomplete_line_is_dropped(tmp_path):
     path = tmp_path / "a.jsonl"
     OutcomeLog(path, KEY).add([FIRST, SECOND])
     path.write_text(path.read_text()[:-40])

@@ -1,4 +1,4 @@
-"""The study's page: it holds the results, names what is missing, and stands alone."""
+"""The report: results, missing methods, and one self-contained page."""
 
 import base64
 import json
@@ -8,13 +8,13 @@ from html.parser import HTMLParser
 import pytest
 from helpers.study_cases import outcome
 from two_view_pose.core.results import write_results
+from two_view_pose.pose_estimator.study.plan import NO_POSE_LOSS, NOISE, NOISY, Run
 from two_view_pose.pose_estimator.study.report import report_page, write_report
 from two_view_pose.pose_estimator.study.tables import tables
-from two_view_pose.pose_estimator.study.units import NO_POSE_LOSS, NOISE, NOISY, Unit
 
 
 def outcomes(share: float, distance: float, gaps=(1, 5, 10)):
-    """Ten sequences of a cat and a duck; of the cat this share is right, of the duck all."""
+    """Ten sequences of a cat and a duck; this share of the cat is correct, and every duck."""
     solvers = {"soft": 0.05, "kabsch": 0.2, "hard": 0.05}
     return [
         outcome(s, name, gap, 0.05 if name == "duck" or s < 10 * share else 0.3, distance / gap,
@@ -26,12 +26,12 @@ def outcomes(share: float, distance: float, gaps=(1, 5, 10)):
 @pytest.fixture(scope="module")
 def records() -> list[dict]:
     measured = {
-        Unit("main", "linemod", "mid"): outcomes(0.9, 0.02),
-        Unit("main", "linemod", "late"): outcomes(0.4, 0.04),
-        Unit("main", "occlusion", "mid"): outcomes(0.7, 0.05),
-        Unit("training", "linemod", "mid", NO_POSE_LOSS, (10,)): outcomes(0.2, 0.09, (10,)),
+        Run("main", "linemod", "mid"): outcomes(0.9, 0.02),
+        Run("main", "linemod", "late"): outcomes(0.4, 0.04),
+        Run("main", "occlusion", "mid"): outcomes(0.7, 0.05),
+        Run("training", "linemod", "mid", NO_POSE_LOSS, (10,)): outcomes(0.2, 0.09, (10,)),
         **{
-            Unit("noise", "linemod", "mid", training, (10,), 0, 0, r, t): outcomes(
+            Run("noise", "linemod", "mid", training, (10,), 0, 0, r, t): outcomes(
                 0.9 - 0.2 * r, 0.02, (10,)
             )
             for training in ("", NOISY)
@@ -110,7 +110,7 @@ def test_tables_hold_the_results(text):
     assert "ms a pair, 2 threads" in text
 
 
-def test_results_stand_with_their_intervals(text):
+def test_results_have_intervals(text):
     assert re.search(r"<b>90\.0</b>\s*<small>\d+\.\d to \d+\.\d</small>", text)
     assert "mid, pair by pair: +25.0 points over late (" in text
 
@@ -126,56 +126,56 @@ def test_a_missing_method_is_named_with_its_reason(text):
     assert "<b>early</b>: the weights lack &lt;cascade&gt;" in text
 
 
-def test_published_results_stand_apart(text):
+def test_published_results_have_their_own_column(text):
     published = {"97.5", "66.6", "13.0", "7.0"}
     found = [c for row in Rows(text).rows for c in row if c["text"] in published]
     assert {c["text"] for c in found} == published
     assert all("paper" in c["class"] for c in found)
 
 
-def test_the_page_says_where_it_comes_from(text):
+def test_provenance_is_shown(text):
     assert "compare --out study" in text and "c0ffee00" in text and "seed 8001" in text
     assert "0123abcd" in text and re.search(r"numpy \d", text)
 
 
-def test_the_page_stands_alone(text):
+def test_the_page_is_self_contained(text):
     assert not re.search(r"(src|href)=\"(?!data:|#)", text)
     assert "<script" not in text and "@import" not in text and "url(" not in text
     assert text.count("data:image/svg+xml;base64,") == 3  # both recalls and the errors
 
 
-def test_links_lead_to_the_sections_that_there_are(text):
+def test_links_lead_to_existing_sections(text):
     links = re.findall(r'<a href="#(\w+)">([^<]*)</a>', text)
     assert links == re.findall(r'<h2 id="(\w+)">([^<]*)</h2>', text)
     assert ("s1", "Keypoints in space") in links
-    assert "Pictures" not in dict(links).values()
+    assert "Images" not in dict(links).values()
 
 
-def test_pictures_are_put_into_the_page_in_their_order(records, tmp_path):
+def test_images_are_embedded_in_order(records, tmp_path):
     write_results(tmp_path / "results.json", records, command="compare", seed=0)
     (tmp_path / "figures").mkdir()
     for name in ("example_10", "insides_2", "example_2"):
         (tmp_path / "figures" / f"{name}.png").write_bytes(name.encode())
     text = write_report(tmp_path).read_text()
-    pictures = re.findall(r'src="data:image/png;base64,([^"]*)"', text)
-    assert [base64.b64decode(p).decode() for p in pictures] == [
+    images = re.findall(r'src="data:image/png;base64,([^"]*)"', text)
+    assert [base64.b64decode(p).decode() for p in images] == [
         "example_2", "insides_2", "example_10",
     ]  # fmt: skip
     assert "mid: a slice through" in text and "early: the depth map" not in text
 
 
-def test_a_quick_run_says_so(records):
+def test_a_quick_run_is_marked(records):
     document = {"command": "compare --quick", "versions": {}, "seed": 0, "records": records}
     assert "A quick run" in report_page(document, {}, [])
     assert "A quick run" not in report_page(document | {"command": "compare"}, {}, [])
 
 
-def test_a_report_of_nothing_has_no_tables(tmp_path):
+def test_an_empty_report_has_no_tables(tmp_path):
     write_results(tmp_path / "results.json", [], command="compare", seed=0)
     text = write_report(tmp_path).read_text()
     assert "<table" not in text and "How it was made" in text
 
 
-def test_no_results_are_an_error(tmp_path):
+def test_missing_results_are_an_error(tmp_path):
     with pytest.raises(ValueError, match=r"no results\.json"):
         write_report(tmp_path)

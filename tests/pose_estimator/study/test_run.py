@@ -1,4 +1,4 @@
-"""The whole study on flat pictures, with methods that know the truth."""
+"""The complete study on flat images, with methods that return the ground truth."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,15 +12,15 @@ from two_view_pose.pose_estimator import METHODS
 from two_view_pose.pose_estimator.bop.dataset import read_dataset, read_pairs
 from two_view_pose.pose_estimator.study import run as study_run
 from two_view_pose.pose_estimator.study.config import CompareConfig
+from two_view_pose.pose_estimator.study.measure import StudySet
 from two_view_pose.pose_estimator.study.report import write_report
 from two_view_pose.pose_estimator.study.report_tables import find
 from two_view_pose.pose_estimator.study.run import Study, networks_digest
-from two_view_pose.pose_estimator.study.study import StudySet
 
 
 @pytest.fixture
 def tests(dataset: Path) -> dict[str, StudySet]:
-    """Both tests: the same pictures, every pair with gap 10."""
+    """Both tests: the same images, every pair with gap 10."""
     pairs = tuple(replace(pair, gap=10) for pair in read_pairs(dataset))
     opened = read_dataset(dataset, "train_pbr")
     return {name: StudySet(name, opened, pairs) for name in ("linemod", "occlusion")}
@@ -34,6 +34,7 @@ def oracles(tests, boxes, networks, monkeypatch) -> dict[str, Oracle]:
     for method, T in (("single", None), ("late", shift), ("mid", None)):
         made[method] = Oracle(tests["linemod"].dataset, boxes, T, strict=False)
         made[method].networks = networks  # type: ignore[attr-defined]
+    monkeypatch.setattr(networks, "trained", frozenset({"detector", "features", "volume"}))
     monkeypatch.setattr(study_run, "load", lambda method, weights, **options: made[method])
     monkeypatch.setattr(study_run, "load_networks", lambda weights, device: networks)
     monkeypatch.setattr(study_run, "draw_gallery", lambda *args, **kwargs: None)
@@ -63,9 +64,9 @@ def test_from_options_to_the_page(tests, oracles, tmp_path, monkeypatch):
         assert f"<b>{name}</b>: the weights &#39;linemod&#39; lack the trained part" in text
     assert "A quick run" in text
 
-    # All that was measured is kept: the methods are asked again for the timing only.
+    # All outcomes are logged: the methods run again for the timing only.
     before = len(oracles["mid"].asked)
-    monkeypatch.setattr(study_run, "measure", lambda *args: [])
+    monkeypatch.setattr(study_run, "measure_cost", lambda *args: [])
     again = Study(config, tests).run()
     assert len(oracles["mid"].asked) == before
     kept = [r for r in again if r["metric"] == "add_s_recall"]
@@ -75,7 +76,7 @@ def test_from_options_to_the_page(tests, oracles, tmp_path, monkeypatch):
 def test_outcomes_of_other_networks_are_reported_before_anything_is_measured(
     tests, oracles, networks, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(study_run, "measure", lambda *args: [])
+    monkeypatch.setattr(study_run, "measure_cost", lambda *args: [])
     config = CompareConfig(out=tmp_path, quick=True, methods=("single", "late")).reduced()
     Study(config, tests).run()
     before = len(oracles["single"].asked)

@@ -1,7 +1,8 @@
-"""The study's records, against numbers worked out by hand."""
+"""The study's records, against results computed by hand."""
 
 import pytest
 from helpers.study_cases import only_record, outcome
+from two_view_pose.pose_estimator.study.plan import NOISY, Run
 from two_view_pose.pose_estimator.study.tables import (
     difference_records,
     method_records,
@@ -10,7 +11,6 @@ from two_view_pose.pose_estimator.study.tables import (
     tables,
     training_records,
 )
-from two_view_pose.pose_estimator.study.units import NOISY, Unit
 
 OUTCOMES = [
     outcome(0, "cat", 1, 0.05, 0.010),
@@ -96,9 +96,9 @@ def test_solvers_on_the_same_keypoints():
 def test_noise_and_trainings():
     noisy = noise_records([outcome(0, error=0.05), outcome(1, error=0.5)], {"rotation_deg": 2.0})
     assert only_record(noisy, "noise_add_s_recall", rotation_deg=2.0)["value"] == 0.5
-    usual = [outcome(s, error=e) for s, e in ((0, 0.05), (1, 0.05), (5, 0.9))]
+    baseline = [outcome(s, error=e) for s, e in ((0, 0.05), (1, 0.05), (5, 0.9))]
     other = [outcome(s, error=e) for s, e in ((0, 0.05), (1, 0.4))]
-    records = training_records(other, usual, {"training": "no pose loss"})
+    records = training_records(other, baseline, {"training": "no pose loss"})
     recall = "training_add_s_recall"
     assert only_record(records, recall, training="no pose loss")["value"] == 0.5
     assert only_record(records, recall, paired_with="no pose loss")["value"] == 1.0
@@ -106,14 +106,14 @@ def test_noise_and_trainings():
     assert len(training_records(other, [], {"training": "no pose loss"})) == 2
 
 
-def test_ablations_do_not_look_like_the_study():
-    """Whoever looks for a recall of mid finds one figure for each object and gap."""
+def test_ablations_have_their_own_metrics():
+    """A query for the recall of mid finds one record for each object and gap."""
     outcomes = {
-        Unit("main", "linemod", "mid"): OUTCOMES,
-        Unit("main", "linemod", "late"): OUTCOMES,
-        Unit("training", "linemod", "mid", NOISY, (10,)): OUTCOMES,
-        Unit("noise", "linemod", "mid", NOISY, (10,), rotation=1.0): OUTCOMES,
-        Unit("noise", "linemod", "mid", "", (10,), rotation=1.0): OUTCOMES,
+        Run("main", "linemod", "mid"): OUTCOMES,
+        Run("main", "linemod", "late"): OUTCOMES,
+        Run("training", "linemod", "mid", NOISY, (10,)): OUTCOMES,
+        Run("noise", "linemod", "mid", NOISY, (10,), rotation=1.0): OUTCOMES,
+        Run("noise", "linemod", "mid", "", (10,), rotation=1.0): OUTCOMES,
     }
     records = tables(outcomes)
     only_record(records, "add_s_recall", method="mid", scene="linemod", object="mean", gap=10)

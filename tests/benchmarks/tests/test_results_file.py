@@ -1,13 +1,12 @@
-"""An interrupted bench keeps its lines, and resumes only where nothing has changed."""
+"""An interrupted run keeps its records, and resumes only under the same conditions."""
 
 import json
 
 import pytest
+from benchmarks import command, stopwatch
+from benchmarks.config import BenchConfig
+from benchmarks.results_file import FINISHED, ResultsFile
 from two_view_pose.core.results import read_results
-
-from . import command, stopwatch
-from .config import BenchConfig
-from .kept import FINISHED, Measured
 
 GROUPS = ("rendering", "solver")
 
@@ -46,7 +45,7 @@ def run(tmp_path, monkeypatch):
 FIRST = [line("a"), line("b")]
 SECOND = [line("c"), line("d")]
 INTERRUPTED = {"rendering": FIRST, "solver": [SECOND[0], KeyboardInterrupt()]}
-WHOLE = {"rendering": FIRST, "solver": SECOND}
+COMPLETE = {"rendering": FIRST, "solver": SECOND}
 
 
 def works(records):
@@ -68,15 +67,15 @@ def test_lines_of_an_interrupted_run_are_kept_and_the_next_resumes(run, capsys):
     assert "1/2 rendering" in printed and "2/2 solver" in printed
 
 
-def test_a_complete_run_is_measured_anew(run):
-    run(WHOLE)
+def test_a_complete_run_is_measured_again(run):
+    run(COMPLETE)
     measured, records = run({"rendering": [line("a", 5.0), line("b")], "solver": SECOND})
     assert measured == list(GROUPS)
     assert works(records) == ["a", "b", "c", "d"] and records[0]["value"] == 5.0
 
 
 @pytest.mark.parametrize("change", ["repeats", "seed", "processor", "code", "versions"])
-def test_nothing_is_mixed_that_was_measured_under_other_conditions(run, change, capsys):
+def test_records_of_other_conditions_are_not_mixed(run, change, capsys):
     run(INTERRUPTED)
     document = json.loads(run.path.read_text())
     if change == "versions":
@@ -87,15 +86,15 @@ def test_nothing_is_mixed_that_was_measured_under_other_conditions(run, change, 
     run.path.write_text(json.dumps(document))
     options = {change: 7} if change in ("repeats", "seed") else {}
     capsys.readouterr()
-    measured, records = run(WHOLE, **options)
+    measured, records = run(COMPLETE, **options)
     assert measured == list(GROUPS) and works(records) == ["a", "b", "c", "d"]
-    assert "other conditions and is measured anew" in " ".join(capsys.readouterr().out.split())
+    assert "other conditions and is measured again" in " ".join(capsys.readouterr().out.split())
 
 
 def test_another_file_is_not_overwritten(run):
     run.path.write_text('{"precious": 1}')
     with pytest.raises(ValueError, match="must have the keys"):
-        run(WHOLE)
+        run(COMPLETE)
     assert run.path.read_text() == '{"precious": 1}'
 
 
@@ -114,7 +113,7 @@ def test_each_line_is_printed_when_it_is_measured(run, capsys):
 
 def test_without_a_file_nothing_is_kept(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    measured = Measured(None, 0, {"processor": "p"})
+    measured = ResultsFile(None, 0, {"processor": "p"})
     assert measured.resume(GROUPS) == ""
     measured.add("solver", line("a"))
     assert measured.records[0]["processor"] == "p" and not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""What a generator in another process yields, and how that process ends."""
+"""A generator in another process: its items, and its end."""
 
 import os
 import signal
@@ -8,10 +8,9 @@ import time
 from pathlib import Path
 
 import pytest
+from benchmarks.own_process import each_from_own_process
 
-from .own_process import each_from_own_process
-
-TESTS = Path(__file__).parents[1]
+TESTS = Path(__file__).parents[2]
 
 
 def test_items_come_one_by_one_from_another_process_and_so_does_its_error():
@@ -22,7 +21,7 @@ def test_items_come_one_by_one_from_another_process_and_so_does_its_error():
         list(each_from_own_process(os._exit, 3))
 
 
-def test_who_stops_listening_ends_the_process():
+def test_closing_the_iterator_ends_the_process():
     endless = each_from_own_process(iter, os.getpid, None)
     child = next(endless)
     assert child != os.getpid()

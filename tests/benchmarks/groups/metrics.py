@@ -1,4 +1,4 @@
-"""ADD-S beside the way of the BOP toolkit: a tree of the estimate's points for every pose."""
+"""ADD-S compared with the BOP toolkit, which builds a tree of the estimate's points per pose."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from two_view_pose.core.geometry import make_transform, transform
 from two_view_pose.pose_estimator.evaluation import metrics
 from two_view_pose.pose_estimator.evaluation.nearest_points import NearestPoints
 
-from .config import BenchConfig
-from .stopwatch import Record, ratio
+from ..config import BenchConfig
+from ..stopwatch import Record, ratio
 
 POINTS = 5000
 _POSES = 8
@@ -31,7 +31,7 @@ def add_s_of_bop(T_est: np.ndarray, T_true: np.ndarray, points: np.ndarray) -> f
 
 
 def pose_pairs(rng: np.random.Generator, diameter: float, count: int) -> list[PosePair]:
-    """Estimated and true poses, from nearly right to plainly wrong.
+    """Estimated and true poses, from nearly correct to clearly wrong.
 
     Args:
         rng: where they are drawn from.
@@ -61,7 +61,7 @@ def measure(config: BenchConfig, count: int = POINTS) -> Iterator[Record]:
 
     Args:
         config: its repeats, and the seed of the points and the poses.
-        count: points on each surface, which is sampled anew.
+        count: points on each surface, sampled for each run.
 
     Yields:
         A record of the results file, seconds for one pose; ``largest_difference`` is in meters.

@@ -1,4 +1,4 @@
-"""The same work alone and beside busy processes, two for each core: it must not collapse there."""
+"""The same work alone and next to busy processes, two per core."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import torch
 from two_view_pose.core.cpu_cores import available_cores
 from two_view_pose.pose_estimator.networks.features import FeatureConfig, KeypointNet
 
-from .config import BenchConfig
+from ..config import BenchConfig
+from ..stopwatch import WARM_UP, Record, make_record, seconds
 from .estimator import PAIRS, draw_pairs, fresh_views
-from .stopwatch import WARM_UP, Record, make_record, seconds
 from .vector import NUM_ENVS
 
 GOAL = 0.25
-"""Beside them all may take four times as long; a fair share of the cores would be a third."""
+"""Four times as long is acceptable; a fair share of the cores would be a third."""
 
 CROPS = 8
 """Crops in the batch of the training step."""
@@ -49,7 +49,7 @@ def measure(config: BenchConfig) -> Iterator[Record]:
     try:
         envs.reset(seed=config.seed)
         yield compare(
-            f"vector env, a step of {NUM_ENVS} lanes with mid",
+            f"vector env, a step of {NUM_ENVS} sub-environments with mid",
             lambda: envs.step(envs.action_space.sample()),
             config.fewer_repeats,
         )
@@ -60,7 +60,7 @@ def measure(config: BenchConfig) -> Iterator[Record]:
 
 
 def compare(work: str, function: Callable[[], Any], repeats: int) -> Record:
-    """Times a call alone and beside busy processes, in turn."""
+    """Times a call alone and next to busy processes, in turn."""
     count = 2 * available_cores()
     alone, busy = [], []
     for _ in range(WARM_UP):
@@ -69,14 +69,12 @@ def compare(work: str, function: Callable[[], Any], repeats: int) -> Record:
         alone.append(seconds(function))
         with busy_processes(count):
             busy.append(seconds(function))
-    return make_record(
-        f"{work}, beside {count} busy processes", "the same alone", busy, alone, GOAL
-    )
+    return make_record(f"{work}, with {count} busy processes", "the same alone", busy, alone, GOAL)
 
 
 @contextmanager
 def busy_processes(count: int) -> Iterator[list[subprocess.Popen[bytes]]]:
-    """So many processes that compute for nothing, until the block ends or this process does."""
+    """Runs busy processes until the block or this process ends."""
     command = [sys.executable, "-I", "-S", "-c", _BUSY, str(os.getpid())]
     running: list[subprocess.Popen[bytes]] = []
     try:

@@ -1,4 +1,4 @@
-"""Soft RANSAC beside what OpenCV and Open3D offer for nine keypoints: how quick, and how robust."""
+"""Speed and robustness of Soft RANSAC compared with OpenCV and Open3D, for nine keypoints."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 from two_view_pose.core.geometry import LINEMOD_K, project
 from two_view_pose.pose_estimator.solvers.rigid import SOLVER_INLIER, solve
 
-from .config import BenchConfig
-from .own_process import each_from_own_process
-from .stopwatch import Record, missing, ratio
+from ..config import BenchConfig
+from ..own_process import each_from_own_process
+from ..stopwatch import Record, missing, ratio
 
 _BATCH = 32
 _OUTLIERS = 3
@@ -24,8 +24,8 @@ OPEN3D_HINT = (
     "pip install open3d (its wheel also asks for the system's libusb: apt-get install libusb-1.0-0)"
 )
 
-_RIGHT = 0.1
-"""Mean distance of the keypoints in diameters below which a pose is right, as for ADD."""
+_MAX_ERROR = 0.1
+"""Mean keypoint distance below which a pose is correct, diameters (as for ADD)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +71,11 @@ def draw_problems(
     return KeypointProblems(model_points, diameter, true, predicted)
 
 
-def share_of_right_poses(problems: KeypointProblems, poses: np.ndarray) -> float:
+def share_of_correct_poses(problems: KeypointProblems, poses: np.ndarray) -> float:
     """Share of poses (B, 3, 4) that bring the keypoints near the true ones, 0 to 1."""
     found = problems.model_points @ poses[:, :, :3].transpose(0, 2, 1) + poses[:, None, :, 3]
     errors = np.linalg.norm(found - problems.true, axis=-1).mean(axis=1)
-    return float((errors < _RIGHT * problems.diameter).mean())
+    return float((errors < _MAX_ERROR * problems.diameter).mean())
 
 
 def soft_ransac_poses(problems: KeypointProblems) -> np.ndarray:
@@ -112,7 +112,7 @@ def measure(config: BenchConfig) -> Iterator[Record]:
     for against, theirs in (
         ("cv2.solvePnPRansac", _call_pnp),
         ("cv2.estimateAffine3D", _call_affine),
-        ("cv2.estimateAffine3D, made a pose", affine_poses),
+        ("cv2.estimateAffine3D, made rigid", affine_poses),
     ):
         yield from compare_speed(against, theirs, config.repeats, config.seed)
     # Open3D brings an OpenMP of its own.
@@ -185,8 +185,8 @@ def compare_robustness(seed: int, count: int = 500) -> Record:
     """
     problems = draw_problems(np.random.default_rng(seed), count, outliers=_OUTLIERS)
     cv2.setRNGSeed(seed)
-    ours = share_of_right_poses(problems, soft_ransac_poses(problems))
-    theirs = share_of_right_poses(problems, affine_poses(problems))
+    ours = share_of_correct_poses(problems, soft_ransac_poses(problems))
+    theirs = share_of_correct_poses(problems, affine_poses(problems))
     return {
         "metric": "ratio",
         "value": ours / max(theirs, 1 / count),

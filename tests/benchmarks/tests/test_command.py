@@ -1,16 +1,15 @@
-"""What the benchmarks print and write, where that can be told without a clock."""
+"""Output and files of the benchmark command."""
 
 import json
 from pathlib import Path
 
 import pytest
+from benchmarks import command, stopwatch
+from benchmarks.config import BenchConfig
+from benchmarks.table import markdown
 from two_view_pose.core import results
 
-from . import command, stopwatch
-from .config import BenchConfig
-from .table import markdown
-
-HERE = Path(__file__).parent
+BENCHMARKS = Path(__file__).parents[1]
 
 
 def test_wrong_options_are_refused(capsys):
@@ -22,7 +21,7 @@ def test_wrong_options_are_refused(capsys):
     assert "error: soak must be at least 100 steps, got 10" in capsys.readouterr().err
 
 
-def test_without_weights_nothing_asks_for_them():
+def test_without_weights_groups_that_need_them_are_skipped():
     groups = BenchConfig(weights=None, json=Path("f.json")).groups
     assert {"vector", "estimator", "busy", "cost"}.isdisjoint(groups) and "rendering" in groups
 
@@ -48,6 +47,6 @@ def test_groups_run_in_processes_of_their_own_from_the_folder(tmp_path):
     assert record["group"] == "import" and record["against"] == "import gymnasium"
 
 
-def test_the_page_shows_the_run_that_is_kept():
-    kept = json.loads((HERE / "results" / "results.json").read_text())
-    assert markdown(kept["records"]) in (HERE.parents[1] / "README.md").read_text()
+def test_readme_has_the_stored_results():
+    stored = json.loads((BENCHMARKS / "results" / "results.json").read_text())
+    assert markdown(stored["records"]) in (BENCHMARKS.parents[1] / "README.md").read_text()

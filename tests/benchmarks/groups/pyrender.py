@@ -1,4 +1,4 @@
-"""An image of ours with depth and masks beside pyrender's color, depth and segmentation.
+"""Our image with depth and masks, compared with pyrender's color, depth and segmentation.
 
 Both sides draw the thirteen objects with the same triangles, textures, poses and camera, in one
 process and in turn. Ours also draws the room, the table and shadows; pyrender has one light and no
@@ -24,10 +24,10 @@ from two_view_pose.envs.simulation.renderer import Frame, SceneRenderer
 from two_view_pose.envs.simulation.scene import Scene, SceneConfig
 from two_view_pose.envs.simulation.world import FAR, NEAR
 
-from .config import BenchConfig
-from .own_process import each_from_own_process
+from ..config import BenchConfig
+from ..own_process import each_from_own_process
+from ..stopwatch import Record, missing, ratio
 from .rendering import agreement
-from .stopwatch import Record, missing, ratio
 
 INSTALL_HINT = (
     "pip install 'two-view-pose[bench]', then pip install --no-deps pyrender==0.1.45 (its own list "

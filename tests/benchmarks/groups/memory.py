@@ -1,4 +1,4 @@
-"""Does memory stay flat over many episodes of pixels? Millions are trained on in one process."""
+"""Growth of memory over many episodes of pixels: training runs millions in one process."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 from tqdm import tqdm
 from two_view_pose.core.worker_pool import memory_in_use
 
+from ..stopwatch import Record
 from .pixels import SIDE, pixels_env
-from .stopwatch import Record
 
 STEPS = 2_000_000
 """Steps to which the growth is extrapolated."""
@@ -51,8 +51,8 @@ def measure_memory(steps: int, seed: int) -> list[Record]:
 def records(counts: np.ndarray, memory: np.ndarray) -> list[Record]:
     """The growth after the warm-up, and what was measured.
 
-    Memory grows in steps, and in a short run one step of a megabyte is a steep line: the growth in
-    the second half of the run is told beside it.
+    Memory grows in steps, and in a short run one step of a megabyte is a steep line: so the growth
+    in the second half of the run is reported as well.
 
     Args:
         counts: steps that had been made at each measurement, (N,).

@@ -1,9 +1,8 @@
-"""The yardsticks have the size of the networks they stand for."""
+"""The reference networks have their published sizes."""
 
 import torch
+from benchmarks.groups.reference_network import PVNet, resnet18
 from torch.utils.flop_counter import FlopCounterMode
-
-from .reference_network import PVNet, resnet18
 
 
 def parameters(network):

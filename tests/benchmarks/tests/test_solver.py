@@ -6,16 +6,15 @@ import sys
 
 import numpy as np
 import pytest
-from two_view_pose.core.results import check_record
-
-from .solver import (
+from benchmarks.groups.solver import (
     affine_poses,
     compare_robustness,
     compare_with_open3d,
     draw_problems,
-    share_of_right_poses,
+    share_of_correct_poses,
     soft_ransac_poses,
 )
+from two_view_pose.core.results import check_record
 
 
 @pytest.mark.parametrize("outliers", [0, 3])
@@ -31,12 +30,12 @@ def test_problems_have_so_many_outliers(outliers):
 def test_both_solve_easy_problems(poses_of):
     problems = draw_problems(np.random.default_rng(1), 20, deviation=0.0005)
     poses = poses_of(problems)
-    assert share_of_right_poses(problems, poses) == 1.0
+    assert share_of_correct_poses(problems, poses) == 1.0
     squares = poses[:, :, :3] @ poses[:, :, :3].transpose(0, 2, 1)
     np.testing.assert_allclose(squares, np.tile(np.eye(3), (20, 1, 1)), atol=1e-5)
     poses[:5, 0, 3] += 0.15 * problems.diameter
     poses[5:8] = np.nan
-    assert share_of_right_poses(problems, poses) == 0.6
+    assert share_of_correct_poses(problems, poses) == 0.6
 
 
 def test_robustness_is_a_ratio_of_shares():

@@ -1,4 +1,4 @@
-"""How much of what the processor can do the 3D network of Mid-Fusion gets out of it.
+"""Efficiency of Mid-Fusion's 3D network, relative to the processor's matrix products.
 
 The reference is the best large matrix product on the same cores and in the same precision: bfloat16
 where the CPU multiplies it in hardware, else float32, as the estimator chooses too.
@@ -18,11 +18,11 @@ from two_view_pose.pose_estimator.networks.features import FeatureConfig
 from two_view_pose.pose_estimator.networks.fused import fused
 from two_view_pose.pose_estimator.networks.volume import PRESETS, Volume, VolumeNet, to_conv_layout
 
-from .config import BenchConfig
-from .stopwatch import WARM_UP, Record, seconds
+from ..config import BenchConfig
+from ..stopwatch import WARM_UP, Record, seconds
 
 GOAL = 0.5
-"""Of the matrix product's operations in a second."""
+"""Fraction of the matrix product's operations per second."""
 
 PRODUCT_SIZES = (1024, 2048, 4096)
 """Sides of the matrices; which of them is quickest depends on the processor."""
@@ -61,7 +61,7 @@ def compare_with_product(
     """One way to run the 3D network against the quickest of some matrix products.
 
     Each side's turn is several runs in a row. The first finds the caches full of what the other
-    side left there, and is told apart: so the network does in an estimate, after other work.
+    side left there, and is reported separately: this is the network's case in an estimate.
 
     Args:
         work: what to call it.

@@ -1,4 +1,4 @@
-"""How cost grows with size: bodies in a scene, crops in a batch, voxels in a volume."""
+"""Cost against size: bodies in a scene, crops in a batch, voxels in a volume."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from two_view_pose.envs.simulation.renderer import SceneRenderer
 from two_view_pose.envs.simulation.scene import Scene
 from two_view_pose.pose_estimator.networks.inference import Inference
 
-from .config import BenchConfig
+from ..config import BenchConfig
+from ..stopwatch import WARM_UP, Record, in_turn, seconds
 from .network import volume_run
 from .solver import draw_problems, soft_ransac_poses
-from .stopwatch import WARM_UP, Record, in_turn, seconds
 
 BODIES = (2, 5, 10, 20, 30, 40, 60)
 BATCHES = (1, 2, 4, 8, 16, 32)

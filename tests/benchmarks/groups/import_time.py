@@ -1,4 +1,4 @@
-"""How long importing this package takes, beside Gymnasium, which it needs anyway."""
+"""Import time of this package compared with Gymnasium, which it imports."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import subprocess
 import sys
 from collections.abc import Iterator
 
-from .config import BenchConfig
-from .stopwatch import WARM_UP, Record, make_record
+from ..config import BenchConfig
+from ..stopwatch import WARM_UP, Record, make_record
 
 MAX_RATIO = 1.2
 """Times Gymnasium's that ours may take."""

@@ -1,7 +1,7 @@
-"""The comparative study: every method on the same pairs of views, measured against the truth.
+"""Measures a run of the comparative study: one method on pairs of views, against the truth.
 
-The truth enters here only, after a method has answered. Outcomes are kept pair by pair in the
-folder of the study, and the same command resumes a run that was stopped.
+The truth is used only after a method has answered. Outcomes are logged pair by pair, so that the
+same command resumes a run that was stopped.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from ..methods import METHOD_TABLE
 from ..solvers.rigid import SOLVERS, solve_pose
 from ..types import PoseEstimate
 from .log import OutcomeLog, PairOutcome
-from .units import ONE_VIEW, Unit, choose_pairs, perturbed_pose
+from .plan import ONE_VIEW, Run, choose_pairs, perturbed_pose
 
 OUTCOME_FORMAT = 1
-"""Part of the key of outcomes that are kept: to be raised with every change of this module, of
-``study_units`` or of an estimator after which a pair would be measured differently."""
+"""Part of the key of logged outcomes. Raise it with every change of this module, of ``plan.py`` or
+of an estimator after which a pair would be measured differently."""
 
 
 class Estimator(Protocol):
-    """What a study measures."""
+    """A method that the study measures."""
 
     @property
     def object_names(self) -> tuple[str, ...]: ...
@@ -46,14 +46,7 @@ class Estimator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StudySet:
-    """One test, opened.
-
-    Attributes:
-        name: ``linemod`` or ``occlusion``.
-        dataset: its images and true poses.
-        pairs: of views, each with its gap.
-        description: its manifest.
-    """
+    """One test, ``linemod`` or ``occlusion``: a dataset, its pairs with gaps, its manifest."""
 
     name: str
     dataset: BopDataset
@@ -62,11 +55,7 @@ class StudySet:
 
     @classmethod
     def open(cls, name: str, root: Path, split: str = "test") -> StudySet:
-        """Opens a BOP dataset whose pairs have gaps.
-
-        Raises:
-            InputError: if there is none, or its pairs have no gaps.
-        """
+        """Opens a BOP dataset; raises InputError if its pairs have no gaps."""
         pairs = read_pairs(root)
         if any(pair.gap is None for pair in pairs):
             raise InputError(f"{root / PAIRS_FILE} has pairs without a gap")
@@ -75,8 +64,8 @@ class StudySet:
         return cls(name, read_dataset(root, split), pairs, description)
 
 
-def run_unit(
-    unit: Unit,
+def measure_run(
+    run: Run,
     estimator: Estimator,
     test: StudySet,
     objects: Mapping[str, ObjectModel],
@@ -85,41 +74,29 @@ def run_unit(
     seed: int = 0,
     progress: bool = True,
 ) -> list[PairOutcome]:
-    """Measures what a log does not hold yet.
+    """Measures the pairs of a run that are not logged yet; returns all its outcomes.
 
-    Args:
-        unit: what to measure.
-        estimator: the method, with its weights.
-        test: where the images and the truth are.
-        objects: the models that are looked for.
-        log: is added to, one batch of pairs after the other.
-        seed: of the errors of the relative pose.
-        progress: whether to show a bar.
-
-    Returns:
-        The outcomes of the unit.
+    Each batch of outcomes is added to the log. ``seed`` is of the errors of the relative pose.
 
     Raises:
-        InputError: if the test has no pair of the unit, or lacks what the method needs.
+        InputError: if the test has no pair of the run, or lacks what the method needs.
     """
     from tqdm import tqdm
 
-    work = choose_pairs(unit, test.pairs, objects)
+    work = choose_pairs(run, test.pairs, objects)
     if not work:
-        raise InputError(f"the {unit.test} test has no pair for {unit.method}, gaps {unit.gaps}")
+        raise InputError(f"the {run.test} test has no pair for {run.method}, gaps {run.gaps}")
     done = {outcome.key for outcome in log.outcomes}
     left = [
-        (pair, name)
-        for pair, name in work
-        if (pair.scene_id, pair.ref_image_id, pair.second_image_id, name) not in done
+        (p, name)
+        for p, name in work
+        if (p.scene_id, p.ref_image_id, p.second_image_id, name) not in done
     ]
-    answers = _Answers(estimator, unit, seed)
+    answers = _Answers(estimator, run, seed)
     scenes = lru_cache(maxsize=2)(test.dataset.scene)
     size = batch_size(estimator)
-    with tqdm(
-        total=len(work), initial=len(work) - len(left), desc=unit.name, unit="pair",
-        disable=not progress,
-    ) as bar:  # fmt: skip
+    counts = {"total": len(work), "initial": len(work) - len(left)}
+    with tqdm(**counts, desc=run.name, unit="pair", disable=not progress) as bar:
         for start in range(0, len(left), size):
             batch = left[start : start + size]
             found = [
@@ -128,17 +105,15 @@ def run_unit(
             ]
             cases = [case for case in found if case is not None]
             log.add(
-                [
-                    _outcome(case, *answer, objects[case.name], unit)
-                    for case, answer in zip(cases, answers.get(cases), strict=True)
-                ]
+                _outcome(case, *answer, objects[case.name], run)
+                for case, answer in zip(cases, answers.get(cases), strict=True)
             )
             bar.update(len(batch))
     return log.outcomes
 
 
 def _outcome(
-    case: AnnotatedPair, estimate: PoseEstimate, seconds: float, model: ObjectModel, unit: Unit
+    case: AnnotatedPair, estimate: PoseEstimate, seconds: float, model: ObjectModel, run: Run
 ) -> PairOutcome:
     pair, truth = case.pair, case.truths[0]
     assert pair.gap is not None
@@ -152,28 +127,24 @@ def _outcome(
         visibility=truth.visibility,
         baseline=baseline_at(pair, truth.obj_id),
         seconds=seconds,
-        **compare_with_truth(estimate, truth.T_cam_obj, model, solvers=unit.method != "single"),
+        **compare_with_truth(estimate, truth.T_cam_obj, model, solvers=run.method != "single"),
     )
 
 
 def compare_with_truth(
     estimate: PoseEstimate, T_true: np.ndarray, model: ObjectModel, *, solvers: bool
 ) -> dict:
-    """The errors of an estimate, as a :class:`PairOutcome` names them.
+    """Computes the errors of an estimate against T_cam_obj (4, 4), as fields of a PairOutcome.
 
-    Args:
-        estimate: the answer.
-        T_true: true T_cam_obj, (4, 4).
-        model: the object.
-        solvers: whether to solve for the pose by every solver from the answer's keypoints.
+    With ``solvers`` also of the pose that each solver finds from the estimate's keypoints.
     """
     errors = {}
     if solvers:
-        given, covariance = estimate.solver_keypoints, None
-        if given is None:
-            given, covariance = estimate.keypoints, _used_covariance(estimate, model)
+        keypoints, covariance = estimate.solver_keypoints, None
+        if keypoints is None:
+            keypoints, covariance = estimate.keypoints, _used_covariance(estimate, model)
         for solver in SOLVERS:
-            T = solve_pose(model.keypoints, given, model.diameter, solver, covariance)
+            T = solve_pose(model.keypoints, keypoints, model.diameter, solver, covariance)
             errors[solver] = add_or_add_s(T, T_true, model) / model.diameter
     return {
         "error": add_or_add_s(estimate.T_cam_obj, T_true, model) / model.diameter,
@@ -183,37 +154,39 @@ def compare_with_truth(
 
 
 def _used_covariance(estimate: PoseEstimate, model: ObjectModel) -> np.ndarray | None:
-    """The keypoints' covariance if the method's own pose was weighted by it, else None.
+    """Returns the keypoints' covariance if the method's pose is weighted by it, else None.
 
-    Only the solver is to be exchanged: some methods let sure keypoints count more, others do not.
+    Solvers are compared on equal terms: some methods weight confident keypoints more, some do not.
     """
 
-    def away(covariance: np.ndarray | None) -> float:
+    def deviation(covariance: np.ndarray | None) -> float:
         T = solve_pose(model.keypoints, estimate.keypoints, model.diameter, covariance=covariance)
         return float(np.abs(T - estimate.T_cam_obj).max())
 
     covariance = estimate.keypoint_covariance
-    return covariance if away(covariance) < away(None) else None
+    return covariance if deviation(covariance) < deviation(None) else None
 
 
 class _Answers:
-    """Asks a method, and remembers its estimates of single views, which have several partners."""
+    """Runs a method, and caches its last single-view estimates: a reference has several partners.
 
-    def __init__(self, estimator: Estimator, unit: Unit, seed: int):
+    Views are new objects for each call, so that estimators that cache views compute each time.
+    """
+
+    def __init__(self, estimator: Estimator, run: Run, seed: int):
         self._estimator = estimator
-        self._unit = unit
+        self._run = run
         self._seed = seed
-        self._one_view = unit.method in ONE_VIEW
+        self._views = 1 if run.method in ONE_VIEW else 2
         self._last: dict[tuple, tuple[PoseEstimate, float]] = {}
         self._read = lru_cache(maxsize=16)(read_rgb)
 
     def get(self, cases: Sequence[AnnotatedPair]) -> list[tuple[PoseEstimate, float]]:
-        """The estimate of each case, and the seconds that it took."""
+        """Returns the estimate of each case, and the seconds that it took."""
         keys = [self._key(case) for case in cases]
         known = {key: self._last[key] for key in keys if key in self._last}
         new = {key: case for key, case in zip(keys, cases, strict=True) if key not in known}
-        # Views are new objects each time: estimators that cache views have to compute all the same.
-        requests = [(self._views(case), case.name) for case in new.values()]
+        requests = [(self._read_views(case), case.name) for case in new.values()]
         start = time.perf_counter()
         estimates = estimate_all(self._estimator, requests)
         seconds = (time.perf_counter() - start) / max(1, len(requests))
@@ -222,13 +195,10 @@ class _Answers:
         return [known[key] for key in keys]
 
     def _key(self, case: AnnotatedPair) -> tuple:
-        """What an answer depends on."""
-        pair = case.pair
-        second = () if self._one_view else (pair.second_image_id,)
-        return (pair.scene_id, pair.ref_image_id, case.name, *second)
+        images = (case.pair.ref_image_id, case.pair.second_image_id)
+        return (case.pair.scene_id, case.name, *images[: self._views])
 
-    def _views(self, case: AnnotatedPair) -> list[View]:
-        images = case.images[:1] if self._one_view else case.images
-        T_second_ref = perturbed_pose(self._unit, case.pair, self._seed)
-        depth = METHOD_TABLE[self._unit.method].needs_depth
+    def _read_views(self, case: AnnotatedPair) -> list[View]:
+        T_second_ref = perturbed_pose(self._run, case.pair, self._seed)
+        images, depth = case.images[: self._views], METHOD_TABLE[self._run.method].needs_depth
         return read_views(images, T_second_ref, depth=depth, read=self._read)

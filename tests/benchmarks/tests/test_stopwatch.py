@@ -1,10 +1,9 @@
-"""Both sides take turns, and a record says what came of it."""
+"""Timing of both sides in turn, and the record."""
 
 import time
 
+from benchmarks import stopwatch
 from two_view_pose.core.results import check_record
-
-from . import stopwatch
 
 
 def test_a_ratio_says_how_many_times_as_fast_ours_is():

@@ -1,4 +1,4 @@
-"""The study's runs: what a method is given, what is measured, and resuming after a stop."""
+"""Runs of the study: the input of a method, its errors, and resuming."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,28 +11,28 @@ from two_view_pose.core.geometry import make_transform, transform
 from two_view_pose.pose_estimator.bop.dataset import read_dataset, read_pairs
 from two_view_pose.pose_estimator.solvers.rigid import solve_pose
 from two_view_pose.pose_estimator.study.log import OutcomeLog
-from two_view_pose.pose_estimator.study.study import StudySet, compare_with_truth, run_unit
-from two_view_pose.pose_estimator.study.units import Unit
+from two_view_pose.pose_estimator.study.measure import StudySet, compare_with_truth, measure_run
+from two_view_pose.pose_estimator.study.plan import Run
 from two_view_pose.pose_estimator.types import PoseEstimate
 
-MID = Unit("main", "linemod", "mid")
+MID = Run("main", "linemod", "mid")
 
 
 @pytest.fixture(scope="module")
 def study_set(dataset: Path) -> StudySet:
-    """The flat pictures as a test: of each scene, gap 1 for the brick and 10 for the crate."""
+    """The flat images as a test: of each scene, gap 1 for the brick and 10 for the crate."""
     pairs = [replace(p, gap=1 if p.second_image_id == 1 else 10) for p in read_pairs(dataset)]
     return StudySet("linemod", read_dataset(dataset, "train_pbr"), tuple(pairs))
 
 
-def run(unit, oracle, study_set, boxes, path, **options):
+def measure(run, oracle, study_set, boxes, path, **options):
     log = OutcomeLog(path, {})
-    return run_unit(unit, oracle, study_set, boxes, log, progress=False, **options)
+    return measure_run(run, oracle, study_set, boxes, log, progress=False, **options)
 
 
-def test_the_truth_has_no_error(study_set, boxes, tmp_path):
+def test_ground_truth_has_no_error(study_set, boxes, tmp_path):
     oracle = Oracle(study_set.dataset, boxes)
-    outcomes = run(MID, oracle, study_set, boxes, tmp_path / "a")
+    outcomes = measure(MID, oracle, study_set, boxes, tmp_path / "a")
     assert oracle.asked == [(2, "brick"), (2, "crate")] * 3
     assert [(o.gap, o.object_name) for o in outcomes] == [(1, "brick"), (10, "crate")] * 3
     assert max(o.error for o in outcomes) < 1e-5
@@ -43,15 +43,17 @@ def test_the_truth_has_no_error(study_set, boxes, tmp_path):
         assert o.camera_distance == pytest.approx(0.9, abs=0.15)
 
 
-def test_a_shift_is_measured(study_set, boxes, tmp_path):
+def test_errors_of_a_shifted_pose(study_set, boxes, tmp_path):
     shift = make_transform(np.eye(3), np.array([0.0, 0.012, 0.0]))
-    outcomes = run(MID, Oracle(study_set.dataset, boxes, shift), study_set, boxes, tmp_path / "a")
+    outcomes = measure(
+        MID, Oracle(study_set.dataset, boxes, shift), study_set, boxes, tmp_path / "a"
+    )
     brick = outcomes[0]
     assert brick.error == pytest.approx(0.012 / boxes["brick"].diameter, abs=1e-5)
     assert brick.distances == pytest.approx([0.012] * 9, abs=1e-6)
 
 
-def test_a_stopped_run_resumes(study_set, boxes, tmp_path):
+def test_an_interrupted_run_resumes(study_set, boxes, tmp_path):
     class Stopped(Oracle):
         def estimate(self, views, object_name):
             if len(self.asked) == 4:
@@ -60,65 +62,64 @@ def test_a_stopped_run_resumes(study_set, boxes, tmp_path):
 
     first = Stopped(study_set.dataset, boxes)
     with pytest.raises(KeyboardInterrupt):
-        run(MID, first, study_set, boxes, tmp_path / "a")
+        measure(MID, first, study_set, boxes, tmp_path / "a")
     second = Oracle(study_set.dataset, boxes)
-    outcomes = run(MID, second, study_set, boxes, tmp_path / "a")
+    outcomes = measure(MID, second, study_set, boxes, tmp_path / "a")
     assert len(second.asked) == 2
-    whole = run(MID, Oracle(study_set.dataset, boxes), study_set, boxes, tmp_path / "b")
-    assert [replace(o, seconds=0) for o in outcomes] == [replace(o, seconds=0) for o in whole]
+    complete = measure(MID, Oracle(study_set.dataset, boxes), study_set, boxes, tmp_path / "b")
+    assert [replace(o, seconds=0) for o in outcomes] == [replace(o, seconds=0) for o in complete]
 
 
-def test_a_method_of_one_view_is_asked_once_for_a_reference(study_set, boxes, tmp_path):
+def test_single_view_methods_run_once_per_reference(study_set, boxes, tmp_path):
     pairs = [replace(p, target_obj_id=None) for p in study_set.pairs]
     both = replace(study_set, pairs=tuple(pairs))
     oracle = Oracle(study_set.dataset, boxes)
-    outcomes = run(Unit("main", "linemod", "single"), oracle, both, boxes, tmp_path / "a")
+    outcomes = measure(Run("main", "linemod", "single"), oracle, both, boxes, tmp_path / "a")
     assert len(outcomes) == 12
     assert oracle.asked == [(1, "brick"), (1, "crate")] * 3
     assert all(o.solver_errors == {} for o in outcomes)
 
 
-def test_only_the_depth_method_sees_depth(study_set, boxes, tmp_path, monkeypatch):
+def test_only_rgbd_is_given_depth(study_set, boxes, tmp_path, monkeypatch):
     depth = np.ones((480, 640), np.float32)
     monkeypatch.setattr(
         "two_view_pose.pose_estimator.evaluation.evaluate_pairs.read_depth", lambda image: depth
     )
     for method, seen in (("rgbd", [True]), ("mid", [False, False]), ("single", [False])):
         oracle = Oracle(study_set.dataset, boxes)
-        run(Unit("main", "linemod", method), oracle, study_set, boxes, tmp_path / method)
+        measure(Run("main", "linemod", method), oracle, study_set, boxes, tmp_path / method)
         given = [[view.depth is not None for view in views] for views, _ in oracle.requests]
         assert given == [seen] * 6
 
 
-def test_without_depth_maps_the_depth_method_says_so(study_set, boxes, tmp_path):
+def test_rgbd_without_depth_maps_is_an_error(study_set, boxes, tmp_path):
     oracle = Oracle(study_set.dataset, boxes)
     with pytest.raises(ValueError, match="no depth map"):
-        run(Unit("main", "linemod", "rgbd"), oracle, study_set, boxes, tmp_path / "a")
+        measure(Run("main", "linemod", "rgbd"), oracle, study_set, boxes, tmp_path / "a")
 
 
 def test_the_perturbed_pose_reaches_the_method(study_set, boxes, tmp_path):
-    unit = replace(MID, part="noise", rotation=2.0, translation=0.01)
+    noisy = replace(MID, part="noise", rotation=2.0, translation=0.01)
     oracle = Oracle(study_set.dataset, boxes, strict=False)
-    run(unit, oracle, study_set, boxes, tmp_path / "a", seed=5)
-    for told, pair in zip(oracle.relative_poses, study_set.pairs, strict=True):
-        error = told @ np.linalg.inv(pair.T_second_ref)
+    measure(noisy, oracle, study_set, boxes, tmp_path / "a", seed=5)
+    for given, pair in zip(oracle.relative_poses, study_set.pairs, strict=True):
+        error = given @ np.linalg.inv(pair.T_second_ref)
         assert np.degrees(Rotation.from_matrix(error[:3, :3]).magnitude()) == pytest.approx(2.0)
 
 
-def test_a_unit_without_pairs_is_an_error(study_set, boxes, tmp_path):
+def test_a_run_without_pairs_is_an_error(study_set, boxes, tmp_path):
     with pytest.raises(ValueError, match="no pair"):
-        run(replace(MID, gaps=(7,)), Oracle(study_set.dataset, boxes), study_set, boxes,
+        measure(replace(MID, gaps=(7,)), Oracle(study_set.dataset, boxes), study_set, boxes,
             tmp_path / "a")  # fmt: skip
 
 
-def test_pairs_without_a_gap_are_no_study(dataset):
+def test_pairs_without_a_gap_are_an_error(dataset):
     with pytest.raises(ValueError, match="without a gap"):
         StudySet.open("linemod", dataset, "train_pbr")
 
 
 @pytest.mark.parametrize("weighted", [False, True])
-def test_solvers_are_exchanged_as_the_method_uses_them(boxes, weighted):
-    """A method that weighs its keypoints is solved with weights, one that does not without."""
+def test_solvers_use_the_covariance_if_the_method_does(boxes, weighted):
     model = boxes["brick"]
     truth = make_transform(np.eye(3), np.array([0.0, 0.0, 1.0]))
     keypoints = transform(truth, model.keypoints)
@@ -130,7 +131,7 @@ def test_solvers_are_exchanged_as_the_method_uses_them(boxes, weighted):
     estimate = PoseEstimate(T, keypoints, covariance)
     found = compare_with_truth(estimate, truth, model, solvers=True)
     assert found["solver_errors"]["soft"] == pytest.approx(found["error"], abs=1e-6)
-    # Least squares feels the stray keypoint unless its weight is small.
+    # Least squares is biased by the outlier unless its weight is small.
     assert (found["solver_errors"]["kabsch"] < 0.01) == weighted
     assert found["solver_errors"]["hard"] < 0.01
     assert found["distances"][0] == pytest.approx(0.03 * np.sqrt(3))

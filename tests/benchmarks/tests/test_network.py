@@ -2,14 +2,13 @@
 
 import pytest
 import torch
+from benchmarks.config import BenchConfig
+from benchmarks.groups.metrics import measure
+from benchmarks.groups.network import volume_flops, volume_run
 from torch.utils.flop_counter import FlopCounterMode
 from two_view_pose.core.results import check_record
 from two_view_pose.pose_estimator.networks.features import FeatureConfig
 from two_view_pose.pose_estimator.networks.volume import PRESETS, Volume
-
-from .config import BenchConfig
-from .metrics import measure
-from .network import volume_flops, volume_run
 
 
 @pytest.mark.parametrize("preset", ["fast", "paper"])

@@ -1,4 +1,4 @@
-"""An image of ours, with depth and masks, beside a default ``mujoco.Renderer``'s three."""
+"""Our image with depth and masks, compared with three renders of ``mujoco.Renderer``."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from two_view_pose.core.geometry import LINEMOD_IMAGE_SIZE, LINEMOD_K
 from two_view_pose.envs.simulation.renderer import SceneRenderer
 from two_view_pose.envs.simulation.scene import Scene
 
-from .config import BenchConfig
-from .stopwatch import Record, ratio
+from ..config import BenchConfig
+from ..stopwatch import Record, ratio
 
 
 def measure(config: BenchConfig) -> Iterator[Record]:

@@ -1,14 +1,13 @@
-"""Cost against size: what is measured is there to be seen, and the figure is drawn."""
+"""Cost against size: the measured scene, records and figure."""
 
 import numpy as np
+from benchmarks.groups import cost
 from PIL import Image
 from two_view_pose.core.results import check_record
 from two_view_pose.envs.simulation.renderer import SceneRenderer
 
-from . import cost
 
-
-def test_so_many_bodies_are_in_view():
+def test_number_of_bodies_in_view():
     scene = cost.crowded_scene(14)
     T_cam_world = cost.view_sphere_pose(np.zeros(3), 1.4, 0.0, np.deg2rad(50.0))
     sky = []

@@ -1,4 +1,4 @@
-"""How many images a second ``generate`` makes, with all annotations, on two workers."""
+"""Images per second of ``generate``, with all annotations, on two workers."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from two_view_pose.envs.datagen.checksums import SUMS_FILE
 from two_view_pose.envs.datagen.generate import GenerateConfig, generate
 from two_view_pose.pose_estimator.bop.writer import scene_folder
 
-from .config import BenchConfig
-from .stopwatch import Record
+from ..config import BenchConfig
+from ..stopwatch import Record
 
 GOAL = 8.0
 """Images a second."""
@@ -34,7 +34,7 @@ def measure(config: BenchConfig) -> Iterator[Record]:
         until the last scene is finished.
 
     Raises:
-        ValueError: if there are too few scenes to tell start-up apart.
+        ValueError: if there are too few scenes to separate start-up.
     """
     scenes = config.scenes
     if scenes < 2 * WORKERS:
@@ -57,7 +57,7 @@ def measure(config: BenchConfig) -> Iterator[Record]:
     excluded = (scenes - WORKERS) * VIEWS / (finished[-1] - finished[WORKERS - 1])
     for startup, rate in (("included", included), ("excluded", excluded)):
         yield {
-            "metric": "pictures_per_second",
+            "metric": "images_per_second",
             "value": rate,
             "unit": "1/s",
             "work": f"generate, all annotations, {WORKERS} workers, start-up {startup}",

@@ -1,4 +1,4 @@
-"""Eight environments of the vector environment beside one that plays their episodes in sequence."""
+"""Eight sub-environments compared with a single environment that plays the same episodes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from .config import BenchConfig
-from .stopwatch import WARM_UP, Record, make_record, seconds, timed
+from ..config import BenchConfig
+from ..stopwatch import WARM_UP, Record, make_record, seconds, timed
 
 NUM_ENVS = 8
 GOAL = 1.6
@@ -66,7 +66,7 @@ def compare(envs: VectorEnv, single: gym.Env, repeats: int, seed: int) -> Record
         theirs.append(took)
         differences.append(float(np.abs(rewards - single_rewards).max()))
     record = make_record(
-        f"vector env, {count} lanes with mid: an episode",
+        f"vector env, {count} sub-environments with mid: an episode",
         f"{count} single ones in sequence",
         ours[WARM_UP:],
         theirs[WARM_UP:],

@@ -1,7 +1,7 @@
-"""What was measured so far, in the results file: an interrupted run resumes there.
+"""The results file, from which an interrupted run resumes.
 
-Every record says under which conditions it was measured, and each group ends with one that says how
-long it took: a group without it was interrupted and is measured again.
+Every record has the conditions under which it was measured. A group ends with a record of its
+duration; a group without one was interrupted and is measured again.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ FINISHED = "group_seconds"
 """Metric of the record that ends a group."""
 
 WITH_NETWORKS = {"network", *(name for name, group in GROUPS.items() if group.needs_weights)}
-"""Groups whose figures depend on the number format that our networks compute in."""
+"""Groups whose results depend on the number format that our networks compute in."""
 
 
 def conditions(**options: Any) -> dict[str, str]:
-    """What figures depend on: the processor, our code and the options, as tags of a record."""
+    """Returns what results depend on: the processor, our code and the options, as tags."""
     package = Path(two_view_pose.__file__).parent
     folders = sorted(path.parent for path in package.glob("*/__init__.py"))
     sha = hashlib.sha256()
@@ -39,8 +39,8 @@ def conditions(**options: Any) -> dict[str, str]:
 
 
 @dataclass
-class Measured:
-    """The records of a run.
+class ResultsFile:
+    """The records of a run, and their file.
 
     Attributes:
         path: the results file, or None to keep them in memory only.
@@ -55,7 +55,7 @@ class Measured:
     records: list[Record] = field(default_factory=list)
 
     def resume(self, groups: Sequence[str]) -> str:
-        """Resumes after the finished groups of an interrupted run; says what it does, and why.
+        """Resumes after the finished groups of an interrupted run; returns a message about it.
 
         Raises:
             ValueError: if there is a file at ``path`` that is not a results file.
@@ -73,24 +73,24 @@ class Measured:
         head = {"versions": versions(), "seed": self.seed}
         changed += [name for name, value in head.items() if document[name] != value]
         if changed:
-            return f"{self.path} has other conditions and is measured anew: {'; '.join(changed)}"
+            return f"{self.path} has other conditions and is measured again: {'; '.join(changed)}"
         done = {record["group"] for record in found if record["metric"] == FINISHED}
         if done.issuperset(groups):
-            return f"{self.path} is complete and is measured anew"
+            return f"{self.path} is complete and is measured again"
         self.records = [record for record in found if record["group"] in done]
         return f"{self.path} resumes after {', '.join(g for g in groups if g in done) or 'nothing'}"
 
     def finished(self, group: str) -> bool:
-        """Whether all of a group is there."""
+        """Whether a group is complete."""
         return any(r["metric"] == FINISHED and r["group"] == group for r in self.records)
 
     def add(self, group: str, line: Record) -> None:
-        """Adds a line, and writes the file, whole or not at all."""
+        """Adds a record, and writes the file atomically."""
         networks = {"number_format": number_format()} if group in WITH_NETWORKS else {}
         self.records.append({**line, **networks, "group": group, **self.conditions})
         if self.path is not None:
             write_results(self.path, self.records, command="bench", seed=self.seed)
 
     def finish(self, group: str, seconds: float) -> None:
-        """Notes that a group is complete, and how long it took."""
+        """Records that a group is complete, and its duration."""
         self.add(group, {"metric": FINISHED, "value": seconds, "unit": "s"})

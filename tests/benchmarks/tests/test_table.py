@@ -1,9 +1,8 @@
 """Records as rows of a table."""
 
+from benchmarks import table
+from benchmarks.stopwatch import make_record
 from rich.console import Console
-
-from . import table
-from .stopwatch import make_record
 
 
 def ratio_record(**tags):
@@ -21,8 +20,8 @@ def test_a_row_of_operations():
     assert table.cells(record)[2:4] == ("200 GFLOP/s", "1000 GFLOP/s")
 
 
-def test_a_rate_has_nothing_beside_it():
-    record = {"metric": "pictures_per_second", "value": 9.26, "work": "generate", "goal": 8.0}
+def test_a_rate_has_no_alternative():
+    record = {"metric": "images_per_second", "value": 9.26, "work": "generate", "goal": 8.0}
     assert table.cells(record) == ("generate", "", "9.3/s", "", "", ">= 8/s")
 
 

@@ -1,4 +1,4 @@
-"""Busy processes are busy, and gone afterwards whatever happens."""
+"""Busy processes compute, and end with their block or parent."""
 
 import os
 import subprocess
@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 import torch
+from benchmarks import table
+from benchmarks.groups import busy
 from two_view_pose.core.cpu_cores import available_cores
 from two_view_pose.core.results import check_record
 
-from . import busy, table
-
-TESTS = Path(__file__).parents[1]
+TESTS = Path(__file__).parents[2]
 has_proc = pytest.mark.skipif(not os.path.exists("/proc/self"), reason="asks /proc")
 
 
@@ -27,7 +27,7 @@ def gone(pids):
 
 
 def ticks(pid):
-    """Of a clock, that a process has computed for."""
+    """CPU time of a process, clock ticks."""
     with open(f"/proc/{pid}/stat") as file:
         return int(file.read().rpartition(")")[2].split()[11])
 
@@ -48,7 +48,7 @@ def test_they_compute_and_end_with_the_block():
 def test_they_end_with_a_parent_that_is_killed():
     code = (
         "import os, signal\n"
-        "from benchmarks.busy import busy_processes\n"
+        "from benchmarks.groups.busy import busy_processes\n"
         "with busy_processes(2) as running:\n"
         "    print(*[process.pid for process in running], flush=True)\n"
         "    os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -63,7 +63,7 @@ def test_the_ratio_is_alone_against_busy(monkeypatch):
     record = busy.compare("work", lambda: calls.append(time.sleep(0.01)), repeats=2)
     check_record(record)
     count = 2 * available_cores()
-    assert record["work"] == f"work, beside {count} busy processes"
+    assert record["work"] == f"work, with {count} busy processes"
     assert record["value"] == pytest.approx(record["seconds_against"] / record["seconds"])
     assert record["goal"] == 0.25 and table.met({**record, "value": 0.26})
     assert len(calls) == 2 + busy.WARM_UP + 2

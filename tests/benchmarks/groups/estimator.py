@@ -1,4 +1,4 @@
-"""The estimator and the environment's step beside networks whose cost is well known."""
+"""The estimator and the environment's step compared with networks of well-known cost."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from two_view_pose.core.geometry import View
 
-from .config import BenchConfig
+from ..config import BenchConfig
+from ..stopwatch import Record, ratio
 from .reference_network import PVNet, resnet18
-from .stopwatch import Record, ratio
 
 PAIRS = 8
 """Pairs of views that take turns."""
@@ -29,8 +29,8 @@ def compare_pair(config: BenchConfig) -> Record:
     """A pose from two images by Mid-Fusion against one forward pass of PVNet on one image."""
     pairs = cycle(draw_pairs(config.seed, PAIRS))
     return ratio(
-        "Mid-Fusion, one pair, pictures to pose",
-        "PVNet forward (ResNet-18 at stride 8, decoder), one picture, 640x480, float32",
+        "Mid-Fusion, one pair, images to pose",
+        "PVNet forward (ResNet-18 at stride 8, decoder), one image, 640x480, float32",
         config.load_mid().estimate,
         forward_pass(PVNet()),
         config.repeats,
@@ -85,7 +85,7 @@ def fresh_views(views: tuple[View, ...], name: str) -> tuple[tuple[View, ...], s
 
 
 def forward_pass(network: torch.nn.Module) -> Callable[[], Any]:
-    """What runs a network on one image of 640x480, in single precision."""
+    """Returns a function that runs a network on one image of 640x480, in single precision."""
     network.eval()
     image = torch.zeros(1, 3, 480, 640)
 

@@ -1,4 +1,4 @@
-"""Episodes of pixels without an estimator, beside pixels of the same triangles from others.
+"""Episodes of pixels without an estimator, compared with other renderers of the same meshes.
 
 Both sides draw 84x84 images of one scene of MuJoCo. Gymnasium's and dm_control's way is one step
 of physics and one image; an episode of ours is a reset, which sets up a new scene and takes the
@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from .config import BenchConfig
+from ..config import BenchConfig
+from ..stopwatch import WARM_UP, Record, make_record, missing, seconds
 from .rendering import default_model, drawn_scene
-from .stopwatch import WARM_UP, Record, make_record, missing, seconds
 
 SIDE = 84
 CAMERA = {"distance": 1.0, "azimuth": 90.0, "elevation": -45.0}
@@ -62,7 +62,7 @@ def measure(config: BenchConfig) -> Iterator[Record]:
 
 
 def records(name: str, times: np.ndarray) -> list[Record]:
-    """A step beside a step, and a whole episode beside as many images.
+    """Compares a step with a step, and an episode with as many images.
 
     Args:
         name: of the peer.
@@ -71,8 +71,8 @@ def records(name: str, times: np.ndarray) -> list[Record]:
     size = f"{SIDE}x{SIDE}"
     steps, episodes = times[..., 1], times.sum(axis=2)
     compared = (
-        ("env.step", "mj_step, picture", steps),
-        ("reset (a new scene) and step", "reset, picture, mj_step, picture", episodes),
+        ("env.step", "mj_step, image", steps),
+        ("reset (a new scene) and step", "reset, image, mj_step, image", episodes),
     )
     return [
         make_record(

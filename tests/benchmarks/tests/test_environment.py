@@ -6,13 +6,21 @@ import os
 import gymnasium as gym
 import numpy as np
 import pytest
+from benchmarks import table
+from benchmarks.config import BenchConfig
+from benchmarks.groups import (
+    generator,
+    import_time,
+    memory,
+    pixels,
+    pyrender,
+    rendering,
+    vector,
+)
+from benchmarks.own_process import each_from_own_process
 from two_view_pose.core.results import check_record
 from two_view_pose.envs.datagen.generate import GenerateConfig
 from two_view_pose.pose_estimator.bop.writer import scene_folder
-
-from . import generator, import_time, memory, pixels, pyrender, rendering, table, vector
-from .config import BenchConfig
-from .own_process import each_from_own_process
 
 
 @pytest.fixture
@@ -42,7 +50,7 @@ def test_scenes_are_finished_when_their_last_file_was_written(tmp_path):
     assert generator.finishing_times(config) == [10.5, 20.0, 30.0]
 
 
-def test_too_few_scenes_do_not_tell_start_up_apart():
+def test_too_few_scenes_are_an_error():
     with pytest.raises(ValueError, match="at least 4"):
         next(generator.measure(BenchConfig(scenes=3)))
 

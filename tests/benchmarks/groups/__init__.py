@@ -1,0 +1,1 @@
+"""One file per comparison. Its function ``measure`` takes the options and yields records."""
