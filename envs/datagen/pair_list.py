@@ -11,7 +11,7 @@ from ...core.geometry import invert
 from ...pose_estimator.bop.dataset import BopImage, read_dataset
 from ...pose_estimator.bop.models_info import read_models_info
 from ...pose_estimator.bop.pairs import BopPair
-from ...pose_estimator.bop.targets import LEAST_VISIBLE
+from ...pose_estimator.bop.targets import MIN_VISIBLE_FRACTION
 from ..simulation.scene_kinds import SCENE_KINDS
 from ..simulation.trajectories.view_spread import viewing_angle
 from .config import GenerateConfig
@@ -53,7 +53,7 @@ def _visible_targets(reference: BopImage, targets: Sequence[int]) -> list[int]:
     return [
         a.obj_id
         for a in reference.annotations
-        if a.visibility >= LEAST_VISIBLE and a.obj_id in targets
+        if a.visibility >= MIN_VISIBLE_FRACTION and a.obj_id in targets
     ]
 
 

@@ -21,7 +21,7 @@ from ...pose_estimator.bop.dataset import BopImage, read_dataset, read_rgb
 from ...pose_estimator.bop.find_dataset import find_dataset
 from ...pose_estimator.bop.find_pairs import find_pairs
 from ...pose_estimator.bop.objects import dataset_objects, has_models
-from ...pose_estimator.bop.pairs import turned_round
+from ...pose_estimator.bop.pairs import swapped
 from ...pose_estimator.bop.targets import TARGETS_FILE, is_test, read_targets
 from ...pose_estimator.evaluation.metrics import add_or_add_s
 from ...pose_estimator.fusion.batching import estimate_all
@@ -103,7 +103,7 @@ class _RealRecorder:
     def scenes(self) -> list[tuple[BopImage, str, Seconds]]:
         """Every photograph and object with enough second views, in the dataset's order."""
         pairs = list(find_pairs(self._dataset, self._config.pairs))
-        pairs += [turned_round(pair) for pair in pairs]
+        pairs += [swapped(pair) for pair in pairs]
         known = {self._models[name].obj_id: name for name in self._measured}
         targets = None
         if is_test(self._dataset.split) and (self._dataset.root / TARGETS_FILE).is_file():

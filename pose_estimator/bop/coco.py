@@ -16,7 +16,7 @@ from ...core.errors import InputError
 from .boxes import bounding_box
 from .fields import read_json
 from .gt_info import read_binary_mask
-from .targets import LEAST_VISIBLE
+from .targets import MIN_VISIBLE_FRACTION
 from .writer import write_json
 
 COCO_FILE = "scene_gt_coco.json"
@@ -49,7 +49,9 @@ def write_coco(folder: Path, obj_ids: Iterable[int]) -> None:
             shape = visible.shape
             if visible.any():
                 amodal = _mask(folder / "mask" / name)
-                entry = _annotation(visible, amodal, ignore=info["visib_fract"] < LEAST_VISIBLE)
+                entry = _annotation(
+                    visible, amodal, ignore=info["visib_fract"] < MIN_VISIBLE_FRACTION
+                )
                 ids = {"id": len(annotations) + 1, "image_id": image_id}
                 annotations.append(ids | {"category_id": int(pose["obj_id"])} | entry)
         height, width = _mask(paths[image_id]).shape if shape is None else shape

@@ -17,7 +17,7 @@ from ...core.geometry import invert
 from .dataset import BopDataset, BopImage
 from .models_info import read_models_info
 from .pairs import PAIRS_FILE, BopPair, read_pairs
-from .targets import LEAST_VISIBLE
+from .targets import MIN_VISIBLE_FRACTION
 
 MAX_STATIC_METERS = 0.005
 MAX_STATIC_DEGREES = 2.0
@@ -82,7 +82,7 @@ def pairs_of_scene(
     scene = _Scene(images, symmetries)
     found = []
     for reference in range(len(images)):
-        visible = scene.visibility[reference] >= LEAST_VISIBLE
+        visible = scene.visibility[reference] >= MIN_VISIBLE_FRACTION
         T_second_ref, static = scene.motions(reference)
         baselines = scene.baselines(reference, T_second_ref)
         static &= visible

@@ -55,7 +55,7 @@ class BopPair:
         return float(np.mean(list(self.baselines_deg.values())))
 
 
-def turned_round(pair: BopPair) -> BopPair:
+def swapped(pair: BopPair) -> BopPair:
     """Returns the pair with its second view as the reference."""
     return replace(
         pair,

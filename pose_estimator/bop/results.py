@@ -136,7 +136,7 @@ def read_bop_results(
     return tuple(results)
 
 
-def surest_of_each_target(
+def most_confident_per_target(
     estimates: Iterable[tuple[BopResult, float]],
 ) -> list[BopResult]:
     """Selects the estimate of lowest uncertainty per scene, image and object.

@@ -14,7 +14,7 @@ from .writer import write_json
 
 TARGETS_FILE = "test_targets_bop19.json"
 
-LEAST_VISIBLE = 0.1
+MIN_VISIBLE_FRACTION = 0.1
 """Visible fraction from which on an object is a target."""
 
 _FIELDS = ("scene_id", "im_id", "obj_id", "inst_count")
@@ -78,7 +78,7 @@ def _visible_targets(
     targets = []
     for scene_id in dataset.scene_ids if scene_ids is None else scene_ids:
         for image_id, image in dataset.scene(scene_id).items():
-            visible = (a.obj_id for a in image.annotations if a.visibility >= LEAST_VISIBLE)
+            visible = (a.obj_id for a in image.annotations if a.visibility >= MIN_VISIBLE_FRACTION)
             for obj_id, count in sorted(Counter(visible).items()):
                 targets.append(BopTarget(scene_id, image_id, obj_id, count))
     return targets

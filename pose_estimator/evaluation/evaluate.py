@@ -11,8 +11,8 @@ from ...core.errors import InputError
 from ..bop.dataset import BopDataset, read_dataset
 from ..bop.find_pairs import find_pairs
 from ..bop.objects import dataset_objects, has_models
-from ..bop.pairs import PAIRS_FILE, turned_round
-from ..bop.results import surest_of_each_target, write_bop_results
+from ..bop.pairs import PAIRS_FILE, swapped
+from ..bop.results import most_confident_per_target, write_bop_results
 from ..bop.targets import TARGETS_FILE, is_test, read_targets
 from ..methods import find_method
 from .config import EvaluateConfig
@@ -40,7 +40,7 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     if config.pairs is None and not (root / PAIRS_FILE).is_file():
         print(f"{len(pairs)} pairs of views found from the poses of {root / config.split}")
     if config.both_directions:
-        pairs += [turned_round(pair) for pair in pairs]
+        pairs += [swapped(pair) for pair in pairs]
     outcomes = evaluate_pairs(
         estimator, dataset, pairs, networks.objects,
         depth=find_method(config.method).needs_depth,
@@ -64,7 +64,7 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
         records += summarize(group, {**tags, "gap": gap}, config.seed)
     if config.csv is not None:
         found = [(o.estimate, o.uncertainty) for o in outcomes if o.estimate is not None]
-        write_bop_results(config.csv, surest_of_each_target(found))
+        write_bop_results(config.csv, most_confident_per_target(found))
     if config.json is not None:
         write_results(config.json, records, command=_command(config), seed=config.seed)
     return records

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from two_view_pose.core.geometry import make_transform
 from two_view_pose.pose_estimator.bop.results import (
     BopResult,
+    most_confident_per_target,
     read_bop_results,
-    surest_of_each_target,
     write_bop_results,
 )
 
@@ -138,7 +138,7 @@ def test_lowest_uncertainty_is_kept_and_times_are_per_image():
         (replace(template, score=0.3), 0.001),
         (replace(template, image_id=3), 0.5),
     ]
-    given = surest_of_each_target(answers)
+    given = most_confident_per_target(answers)
     assert [result.target for result in given] == [(1, 2, 5), (1, 2, 9), (1, 3, 5)]
     assert given[0].score == 0.2
     assert [result.seconds for result in given] == [0.75, 0.75, 0.25]

@@ -16,7 +16,7 @@ from two_view_pose.pose_estimator.bop.dataset import (
     read_depth,
     read_pairs,
 )
-from two_view_pose.pose_estimator.bop.pairs import BopPair, turned_round
+from two_view_pose.pose_estimator.bop.pairs import BopPair, swapped
 from two_view_pose.pose_estimator.evaluation.config import EvaluateConfig
 from two_view_pose.pose_estimator.evaluation.evaluate_pairs import evaluate_pairs, target_pairs
 from two_view_pose.pose_estimator.evaluation.outcomes import summarize
@@ -105,10 +105,10 @@ def test_a_half_turn_is_right_for_the_symmetric_object_only(opened, dataset, box
 def test_swapped_pairs_are_evaluated(opened, dataset, boxes):
     pairs = read_pairs(dataset)
     oracle = Oracle(opened, boxes)  # checks the relative pose that it is given
-    back = [turned_round(pair) for pair in pairs]
+    back = [swapped(pair) for pair in pairs]
     outcomes = evaluate_pairs(oracle, opened, back, boxes, progress=False)
     assert len(outcomes) == len(pairs) and max(o.error for o in outcomes) < 1e-6
-    first, second = pairs[0], turned_round(turned_round(pairs[0]))
+    first, second = pairs[0], swapped(swapped(pairs[0]))
     assert (first.ref_image_id, first.second_image_id) == (
         second.ref_image_id, second.second_image_id,
     )  # fmt: skip
