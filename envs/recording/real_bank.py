@@ -169,7 +169,7 @@ class _RealRecorder:
             "visibility": np.array([truth.visibility], np.float32),
             "K": image.K[None].astype(np.float64),
             "T_cam_world": T_ref_world[None],
-            "center": center[None],
+            "centre": center[None],
             "first_error": np.array([error(first)], np.float32),
             "second_error": np.array([[errors[i] for i in slots]], np.float32),
             "second_visibility": np.array([[visible[i] for i in slots]], np.float32),

@@ -42,7 +42,7 @@ class BankRecorder:
             "visibility": np.array([truth["visibility"]], np.float32),
             "K": env.intrinsics[None],
             "T_cam_world": env.T_cam_world[None],
-            "center": env.sphere_center[None],
+            "centre": env.sphere_center[None],
             "first_error": np.array([truth["add_first"] / diameter], np.float32),
             "second_error": np.array([errors], np.float32),
             "second_visibility": np.array([[env.visibility_from(T) for T in cameras]], np.float32),

@@ -128,12 +128,17 @@ class ViewBank:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """All arrays by their names in the file; the first axis is the scene."""
-        plain = {name: getattr(self, name) for name in _PLAIN}
+        plain = {key: getattr(self, name) for name, key in _PLAIN.items()}
         plain |= {f"first/{key}": array for key, array in self.first.items()}
         return plain | {f"second/{key}": array for key, array in self.second.items()}
 
 
-_PLAIN = tuple(f.name for f in fields(ViewBank) if f.name not in ("header", "first", "second"))
+_PLAIN = {
+    f.name: "centre" if f.name == "center" else f.name
+    for f in fields(ViewBank)
+    if f.name not in ("header", "first", "second")
+}
+"""The names of the plain arrays in the file; banks that exist have a British one."""
 
 
 def concatenate(header: BankHeader, parts: Sequence[Mapping[str, np.ndarray]]) -> ViewBank:
@@ -224,7 +229,7 @@ def _from_arrays(header: BankHeader, arrays: Mapping[str, np.ndarray]) -> ViewBa
         header=header,
         first={key: arrays[f"first/{key}"] for key in FIRST_FIELDS},
         second={key: arrays[f"second/{key}"] for key in SECOND_FIELDS},
-        **{name: arrays[name] for name in _PLAIN},
+        **{name: arrays[key] for name, key in _PLAIN.items()},
     )
 
 

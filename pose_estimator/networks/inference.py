@@ -10,7 +10,7 @@ up to rounding.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -240,7 +240,11 @@ class Inference:
 
 def _identical(one: Any, other: Any) -> bool:
     """Whether two results are equal bit for bit."""
-    pairs = zip(tree_leaves(one), tree_leaves(other), strict=True)
+
+    def arrays(result: Any) -> list[Any]:
+        return tree_leaves(vars(result) if is_dataclass(result) else result)
+
+    pairs = zip(arrays(one), arrays(other), strict=True)
     # NumPy has no bfloat16.
     return all(torch.equal(torch.as_tensor(a), torch.as_tensor(b)) for a, b in pairs)
 

@@ -103,8 +103,8 @@ def _keypoints_in_image(
         axis.plot(*zip(a, b, strict=True), color="white", linewidth=2.2)
         axis.plot(*zip(a, b, strict=True), color=color, linewidth=1.2)
     ring = {"facecolors": "none", "edgecolors": "white", "linewidths": 1.4}
-    axis.scatter(*true_pixels.T, s=34, **ring)  # type: ignore[arg-type]
-    axis.scatter(*pixels.T, s=13, color=color, edgecolors="white", linewidths=0.5)
+    axis.scatter(true_pixels[:, 0], true_pixels[:, 1], s=34, **ring)  # type: ignore[arg-type]
+    axis.scatter(pixels[:, 0], pixels[:, 1], s=13, color=color, edgecolors="white", linewidths=0.5)
     axis.set(xlim=(0, CROP), ylim=(CROP, 0))
 
 

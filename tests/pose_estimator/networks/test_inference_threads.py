@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from two_view_pose.pose_estimator.networks import inference as inference_module
-from two_view_pose.pose_estimator.networks.inference import Inference
+from two_view_pose.pose_estimator.networks.inference import EncodedCrop, Inference
 
 
 @pytest.mark.parametrize("same", [True, False])
@@ -21,14 +21,16 @@ def test_single_items_use_all_cores_only_if_bit_equal(networks, monkeypatch, sam
         here = threading.get_ident() == callers
         places.append("all cores" if here else "one core")
         answer = np.ones(3) + (0 if same else 1e-9 * here)
-        return [(answer, torch.ones(2, dtype=torch.bfloat16)) for _ in items]
+        maps = (torch.ones(2, dtype=torch.bfloat16),)
+        crop = EncodedCrop(torch.zeros(1), torch.zeros(1), maps, answer, answer, answer, answer)
+        return [crop for _ in items]
 
     def asked(items: str, idle: int, kind: str | None) -> list[str]:
         monkeypatch.setattr(inference_module, "idle_cores", lambda: idle)
         places.clear()
         answers = inference.in_batches(work, items, kind=kind)
         assert len(answers) == len(items)
-        assert all(np.array_equal(a, answers[0][0]) for a, _ in answers)
+        assert all(np.array_equal(a.vote_mean, answers[0].vote_mean) for a in answers)
         return places
 
     assert asked("a", 2, "frame") == ["one core", "all cores"]  # the first time: both ways
