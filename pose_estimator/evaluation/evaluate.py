@@ -54,7 +54,7 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
             f"no pair of views of {root / config.split} shows what the weights {config.weights} "
             f"know: {', '.join(f'{n} ({m.obj_id})' for n, m in networks.objects.items())}"
         )
-    changed = {n: getattr(config, n) for n in ("solver", "roi") if n in _changed(config)}
+    changed = {n: getattr(config, n) for n in _changed(config) if n in ("solver", "roi")}
     tags = {"method": config.method, **tags, **changed}
     records = summarize(outcomes, tags, config.seed)
     words = {"solver": "solver {}", "roi": "ground-truth ROI: {}"}

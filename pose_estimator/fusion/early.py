@@ -97,7 +97,7 @@ class EarlyFusionEstimator(TwoViewEstimator):
     def _cascade_views(self, encoded: Sequence[EncodedView]) -> CascadeViews:
         """Returns the cascade's input, a batch of one."""
         T_ref_world = invert(encoded[0].view.T_cam_world)
-        to_crop = np.linalg.inv(self._to_grid())
+        to_crop = np.linalg.inv(grid_matrix(self.networks.features.config.stride))
         levels = zip(*(e.maps[:4] for e in encoded), strict=True)
         poses = np.stack([e.view.T_cam_world @ T_ref_world for e in encoded])
         return CascadeViews(
@@ -110,7 +110,8 @@ class EarlyFusionEstimator(TwoViewEstimator):
         """Solves for the pose from the depth map at the reference's votes."""
         model = self.networks.objects[sighting.object_name]
         reference = sighting.encoded[0]
-        to_map = grid_matrix(found.stride) @ np.linalg.inv(self._to_grid())
+        to_grid = grid_matrix(self.networks.features.config.stride)
+        to_map = grid_matrix(found.stride) @ np.linalg.inv(to_grid)
         K_map = to_map @ reference.K_grid
         A = to_map[:2, :2]
         votes = reference.vote_mean @ A.T + to_map[:2, 2]
@@ -121,9 +122,6 @@ class EarlyFusionEstimator(TwoViewEstimator):
         variance = variance + behind_surface(model, sighting.first.T_cam_obj) ** 2
         keypoints, covariance = back_project(votes, vote_covariance, depth, variance, K_map)
         return self.answer(sighting, keypoints, covariance, weigh=True)
-
-    def _to_grid(self) -> np.ndarray:
-        return grid_matrix(self.networks.features.config.stride)
 
 
 def read_depth(

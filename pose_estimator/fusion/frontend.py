@@ -121,9 +121,14 @@ class Frontend:
                 missing.setdefault((id(target.view), target.obj, known), []).append(number)
         first = [targets[numbers[0]] for numbers in missing.values()]
         maps = iter(self.detector_maps([t.view for t in first if t.roi is None]))
-        located = [
-            t if t.roi is not None else t._replace(roi=self._best(next(maps), t.obj)) for t in first
-        ]
+        config = self.networks.detector.config
+        located = []
+        for target in first:
+            if target.roi is None:
+                logits, regression, to_image = next(maps)
+                roi = decode(logits[target.obj], regression[target.obj], to_image, config)
+                target = target._replace(roi=roi)
+            located.append(target)
         upright = self._best_rolls(located)
         for numbers, encoded in zip(missing.values(), upright, strict=True):
             for number in numbers:
@@ -181,12 +186,6 @@ class Frontend:
     def _grow_caches(self, views: int) -> None:
         for cache in (self.encoded, self.detected):
             cache.maxsize = max(cache.maxsize, 2 * views)
-
-    def _best(self, maps: DetectorMaps, index: int) -> Roi:
-        """Returns the region of an object in one frame."""
-        return decode(
-            maps.logits[index], maps.regression[index], maps.to_image, self.networks.detector.config
-        )
 
     def _regions(
         self, views: Sequence[View], index: int, maps: Sequence[DetectorMaps]

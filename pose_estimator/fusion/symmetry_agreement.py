@@ -45,8 +45,7 @@ def resolve_symmetry_ambiguity(
     T_ref_world = invert(reference.view.T_cam_world)
     agreed, points = [reference], np.empty((0, 3))
     for view in encoded[1:]:
-        best = np.inf
-        chosen = np.arange(len(model.keypoints))
+        best, chosen = np.inf, permutations[0]
         Ks = [reference.K_grid, view.K_grid]
         cameras = [reference.view.T_cam_world, view.view.T_cam_world]
         for permutation in permutations:
@@ -60,14 +59,8 @@ def resolve_symmetry_ambiguity(
                 residual += float(np.minimum(error, _OUTLIER_ERROR).sum())
             if residual < best:
                 best, chosen, points = residual, permutation, candidate
-        agreed.append(
-            replace(
-                view,
-                vote_mean=view.vote_mean[chosen],
-                vote_covariance=view.vote_covariance[chosen],
-                vote_score=view.vote_score[chosen],
-            )
-        )
+        votes = ("vote_mean", "vote_covariance", "vote_score")
+        agreed.append(replace(view, **{name: getattr(view, name)[chosen] for name in votes}))
     return agreed, points
 
 

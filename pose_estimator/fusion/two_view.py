@@ -50,21 +50,12 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
         sightings = self.encode_views(requests, rois)
         answers = [sighting.first for sighting in sightings]
         several = [n for n, sighting in enumerate(sightings) if len(sighting.encoded) > 1]
-        fused = self.fuse_and_refine([sightings[n] for n in several])
-        for n, answer in zip(several, fused, strict=True):
-            answers[n] = answer
+        fused = self.fuse([sightings[n] for n in several])
+        found = zip(several, fused, strict=True)
+        again = self.refine([replace(sightings[n], first=pose) for n, pose in found])
+        for n, sighting, pose in zip(several, again, self.fuse(again), strict=True):
+            answers[n] = replace(pose, rois=sighting.first.rois)
         return answers
-
-    def fuse_and_refine(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
-        """Fuses views, crops them again at the fused poses, and fuses these crops."""
-        fused = self.fuse(sightings)
-        again = self.refine(
-            [replace(s, first=pose) for s, pose in zip(sightings, fused, strict=True)]
-        )
-        return [
-            replace(pose, rois=s.first.rois)
-            for s, pose in zip(again, self.fuse(again), strict=True)
-        ]
 
     @abstractmethod
     def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:

@@ -4,7 +4,6 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,16 +25,26 @@ def opened(dataset: Path) -> BopDataset:
     return read_dataset(dataset, "train_pbr")
 
 
-def test_a_dataset_is_evaluated_and_written(opened, dataset, boxes, monkeypatch, tmp_path, capsys):
-    oracle = Oracle(opened, boxes)
-    oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
-    asked: list[tuple] = []
+@pytest.fixture
+def loaded(boxes, monkeypatch):
+    """Makes an oracle that ``load`` returns; returns it and the list of calls of ``load``."""
 
-    def load(method: str, weights: str, **options: Any) -> Oracle:
-        asked.append((method, weights, options))
-        return oracle
+    def replace_load(dataset: BopDataset) -> tuple[Oracle, list[tuple]]:
+        oracle, calls = Oracle(dataset, boxes), []
+        oracle.networks = SimpleNamespace(objects=boxes)
 
-    monkeypatch.setattr("two_view_pose.pose_estimator.fusion.loading.load", load)
+        def load(method: str, weights: str, **options):
+            calls.append((method, weights, options))
+            return oracle
+
+        monkeypatch.setattr("two_view_pose.pose_estimator.fusion.loading.load", load)
+        return oracle, calls
+
+    return replace_load
+
+
+def test_a_dataset_is_evaluated_and_written(opened, dataset, loaded, tmp_path, capsys):
+    oracle, asked = loaded(opened)
     target = tmp_path / "results.json"
     config = EvaluateConfig(split="train_pbr", json=target)
     evaluate_dataset(config, dataset, {"dataset": "boxes"})
@@ -60,14 +69,12 @@ def test_a_dataset_is_evaluated_and_written(opened, dataset, boxes, monkeypatch,
     assert "ground-truth ROI: truth" in capsys.readouterr().out
 
 
-def test_outcomes_are_summarized_by_gap(opened, dataset, boxes, monkeypatch, tmp_path):
+def test_outcomes_are_summarized_by_gap(opened, dataset, boxes, loaded, tmp_path):
     pairs = [replace(p, gap=(1, 5)[i % 2]) for i, p in enumerate(read_pairs(dataset))]
     write_pairs(tmp_path / "pairs.json", pairs)
     outcomes = evaluate_pairs(Oracle(opened, boxes), opened, pairs, boxes, progress=False)
     assert [o.gap for o in outcomes] == [1, 5] * 3
-    oracle = Oracle(opened, boxes)
-    oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
-    monkeypatch.setattr("two_view_pose.pose_estimator.fusion.loading.load", lambda *a, **k: oracle)
+    loaded(opened)
     config = EvaluateConfig(split="train_pbr", pairs=tmp_path / "pairs.json")
     records = evaluate_dataset(config, dataset, {})
     counts = {
@@ -79,13 +86,12 @@ def test_outcomes_are_summarized_by_gap(opened, dataset, boxes, monkeypatch, tmp
 
 
 def test_poses_of_the_reference_views_are_written_once_each(
-    opened, dataset, boxes, monkeypatch, tmp_path
+    opened, dataset, boxes, loaded, monkeypatch, tmp_path
 ):
     # Each brick is asked for with both second views; the latter has the smaller variance.
     pairs = [replace(p, target_obj_id=boxes["brick"].obj_id) for p in read_pairs(dataset)]
     write_pairs(tmp_path / "pairs.json", pairs)
-    oracle = Oracle(opened, boxes)
-    oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
+    oracle, _ = loaded(opened)
     answer = oracle.estimate
 
     def estimate(views, name, *rois):
@@ -96,7 +102,6 @@ def test_poses_of_the_reference_views_are_written_once_each(
         return PoseEstimate(shift @ found.T_cam_obj, found.keypoints, covariance, [])
 
     monkeypatch.setattr(oracle, "estimate", estimate)
-    monkeypatch.setattr("two_view_pose.pose_estimator.fusion.loading.load", lambda *a, **k: oracle)
     target = tmp_path / "oracle_boxes-train_pbr.csv"
     config = EvaluateConfig(split="train_pbr", pairs=tmp_path / "pairs.json", csv=target)
     records = evaluate_dataset(config, dataset, {})
@@ -109,14 +114,10 @@ def test_poses_of_the_reference_views_are_written_once_each(
         assert result.score == 1.0 and result.seconds > 0
 
 
-def test_a_dataset_without_pairs_is_paired_by_its_poses(
-    dataset, boxes, monkeypatch, tmp_path, capsys
-):
+def test_a_dataset_without_pairs_is_paired_by_its_poses(dataset, loaded, tmp_path, capsys):
     for name in ("train_pbr", "models"):
         (tmp_path / name).symlink_to(dataset / name)
-    oracle = Oracle(read_dataset(tmp_path, "train_pbr"), boxes)
-    oracle.networks = type("Networks", (), {"objects": boxes})()  # type: ignore[attr-defined]
-    monkeypatch.setattr("two_view_pose.pose_estimator.fusion.loading.load", lambda *a, **k: oracle)
+    loaded(read_dataset(tmp_path, "train_pbr"))
     records = evaluate_dataset(EvaluateConfig(split="train_pbr"), tmp_path, {})
     # Three scenes of three images, all 10 to 60 degrees apart; two objects in each.
     assert "18 pairs of views found from the poses of" in capsys.readouterr().out

@@ -200,10 +200,6 @@ def test_3d_keypoints_and_votes_are_weighted_by_their_covariances(networks):
 def test_wrong_calls_are_refused(networks):
     with pytest.raises(ValueError, match="unknown solver 'best'; there are soft, kabsch, hard"):
         MidFusionEstimator(networks, "best")
-    with pytest.raises(ValueError, match="do not know the object 'teapot'; they know brick, crate"):
-        LateFusionEstimator(networks).estimate([view(0)], "teapot")
-    with pytest.raises(ValueError, match="at least one view"):
-        LateFusionEstimator(networks).estimate([], "brick")
     with pytest.raises(TypeError, match="fuse"):
         TwoViewEstimator(networks)
 

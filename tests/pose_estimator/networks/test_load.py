@@ -40,7 +40,7 @@ def test_another_preset_names_the_training_command(saved):
         ({"preset": "quick"}, "unknown preset 'quick'; there are fast, paper"),
         ({"solver": "best"}, "unknown solver 'best'; there are soft, kabsch, hard"),
         ({"device": "tpu"}, "device must be auto, cpu, cuda, cuda:N or mps, got 'tpu'"),
-        ({"threads": -1}, "threads must be at least 0, got -1"),
+        ({"threads": -1}, "threads must be >= 0, got -1"),
     ],
 )
 def test_unknown_names_are_refused(saved, wrong, message):
