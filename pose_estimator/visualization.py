@@ -79,10 +79,7 @@ def outline(
 
 
 def draw_poses(
-    image: np.ndarray,
-    model: Shape,
-    poses: Mapping[tuple[int, int, int], np.ndarray],
-    K: np.ndarray,
+    image: np.ndarray, model: Shape, poses: Mapping[tuple[int, int, int], np.ndarray], K: np.ndarray
 ) -> np.ndarray:
     """Returns a copy of the image with the object outlined in each pose, anti-aliased.
 

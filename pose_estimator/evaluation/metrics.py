@@ -55,11 +55,7 @@ def add(T_est: np.ndarray, T_true: np.ndarray, points: np.ndarray) -> float:
 
 
 def add_s(
-    T_est: np.ndarray,
-    T_true: np.ndarray,
-    points: np.ndarray,
-    *,
-    tree: NearestPoints | None = None,
+    T_est: np.ndarray, T_true: np.ndarray, points: np.ndarray, *, tree: NearestPoints | None = None
 ) -> float:
     """Mean distance from each point under the true pose to the nearest under the estimate (ADD-S).
 

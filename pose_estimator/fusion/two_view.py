@@ -62,12 +62,7 @@ class TwoViewEstimator(SingleViewEstimator, ABC):
         """Fuses the views of each sighting into a pose in the reference camera."""
 
     def answer(
-        self,
-        sighting: Sighting,
-        keypoints: np.ndarray,
-        covariance: np.ndarray,
-        *,
-        weigh: bool,
+        self, sighting: Sighting, keypoints: np.ndarray, covariance: np.ndarray, *, weigh: bool
     ) -> PoseEstimate:
         """Solves for the pose of fused keypoints.
 
