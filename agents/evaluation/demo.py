@@ -62,8 +62,12 @@ def demo(config: DemoConfig) -> None:
     start = perf_counter()
     from ..policies.registry import make_policy
 
-    arguments = {"scene": config.scene, "device": config.device, "render_mode": "rgb_array"}
-    env = gym.make(f"two_view_pose:{config.env}", **arguments)
+    env = gym.make(
+        f"two_view_pose:{config.env}",
+        scene=config.scene,
+        device=config.device,
+        render_mode="rgb_array",
+    )
     try:
         policy = make_policy(config.policy, env, config.device)
         options = {} if config.object is None else {"object": config.object}

@@ -57,7 +57,7 @@ def measure_cost(
         inference = getattr(estimator, "inference", None)
         threads = available_cores() if inference is None else inference.threads
         tags = {"metric": "seconds_per_pair", "unit": "s", "method": method, "threads": threads}
-        for batch, times in ((1, single[method][_WARM_UP:]), (BATCH, batched.get(method))):
+        for batch, times in ((1, single[method][_WARM_UP:]), (BATCH, batched.get(method, []))):
             if times:
                 value = float(np.median(times))
                 records.append({**tags, "value": value, "batch": batch, "n": len(times)})

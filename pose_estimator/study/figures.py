@@ -115,5 +115,5 @@ def _plot(
 def _legend(figure: Figure, axis: Axes) -> None:
     handles, labels = axis.get_legend_handles_labels()
     if handles:
-        style = {"loc": "outside upper center", "frameon": False, "fontsize": 10}
+        style: dict[str, Any] = {"loc": "outside upper center", "frameon": False, "fontsize": 10}
         figure.legend(handles, labels, ncols=len(labels), **style)

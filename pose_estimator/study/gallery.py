@@ -61,9 +61,9 @@ def make_example(
         f"{name}, {test.name} test, sequence {pair.scene_id}, frames {pair.ref_image_id} "
         f"and {pair.second_image_id}, {100 * truth.visibility:.0f} % visible"
     )
-    views = make_views(test, work, "mid")
+    first, second = make_views(test, work, "mid")
     answers = {m: e.estimate(make_views(test, work, m), name) for m, e in estimators.items()}
-    example = Example(title, model, *views, truth.T_cam_obj, answers)
+    example = Example(title, model, first, second, truth.T_cam_obj, answers)
     return example, None if reference.depth_path is None else read_depth(reference)
 
 

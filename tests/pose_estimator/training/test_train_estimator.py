@@ -37,7 +37,7 @@ def test_unknown_stages_are_named(tmp_path: Path):
 def test_all_stages_end_in_weights_that_load(
     dataset: Path, pack: CropPack, boxes, tmp_path: Path, monkeypatch
 ):
-    monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
+    monkeypatch.setattr(assets, "load_objects", lambda spec, load=None: boxes)
     stages = {
         "detector": DetectorStage, "features": FeatureStage, "decoders": DecoderStage,
         "volume": VolumeStage,
@@ -67,7 +67,7 @@ def test_all_stages_end_in_weights_that_load(
 def test_a_budget_ends_in_weights_and_the_same_command_goes_on(
     dataset: Path, pack: CropPack, boxes, tmp_path: Path, monkeypatch, capsys
 ):
-    monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
+    monkeypatch.setattr(assets, "load_objects", lambda spec, load=None: boxes)
     for name, stage in (("detector", DetectorStage), ("features", FeatureStage)):
         monkeypatch.setitem(STAGE_DEFAULTS, name, replace(STAGE_DEFAULTS[name], batch=2))
         monkeypatch.setattr(stage, "validate", lambda self: {"figure": 0.5})
@@ -138,7 +138,7 @@ def test_a_part_is_added_to_finished_weights(
     part, stage, method, other,
     dataset_with_depth: Path, boxes, networks: PoseNetworks, tmp_path: Path, monkeypatch,
 ):  # fmt: skip
-    monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
+    monkeypatch.setattr(assets, "load_objects", lambda spec, load=None: boxes)
     monkeypatch.setitem(STAGE_DEFAULTS, part, replace(STAGE_DEFAULTS[part], batch=1))
     monkeypatch.setattr(stage, "validate", lambda self: {"figure": 0.5})
     finished = copy.copy(networks)
@@ -166,7 +166,7 @@ def test_a_part_is_added_to_finished_weights(
 def test_new_features_make_the_cascade_on_the_old_ones_useless(
     dataset_with_depth: Path, boxes, networks: PoseNetworks, tmp_path: Path, monkeypatch
 ):
-    monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
+    monkeypatch.setattr(assets, "load_objects", lambda spec, load=None: boxes)
     monkeypatch.setattr(trainer, "run_stage", lambda stage, loop, log: 1)
     finished = copy.copy(networks)
     finished.trained = frozenset({"detector", "features", "cascade"})

@@ -33,7 +33,7 @@ def finished(boxes, tmp_path: Path) -> Path:
 
 def quick(monkeypatch, boxes) -> None:
     """Makes a training take a second."""
-    monkeypatch.setattr(assets, "load_objects", lambda spec: boxes)
+    monkeypatch.setattr(assets, "load_objects", lambda spec, load=None: boxes)
     monkeypatch.setattr(VolumeStage, "validate", lambda self: {"figure": 0.5})
     one = replace(training_config.PAPER_VOLUME, batch=1)
     monkeypatch.setitem(training_config.STAGE_DEFAULTS, "volume", one)
