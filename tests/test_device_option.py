@@ -56,7 +56,7 @@ def test_help_lists_the_devices(command: str, capsys: pytest.CaptureFixture[str]
     words = " ".join(capsys.readouterr().out.replace("│", " ").split())
     _, help_text = words.split("--device ", maxsplit=1)
     expected = (
-        "Where networks run: auto (a GPU where there is one, else the processor), cpu, cuda, "
+        "Where networks run: auto (a GPU if there is one, else the CPU), cpu, cuda, "
         "cuda:N or mps. (default: auto)"
     )
     assert expected in help_text.replace("`", "")[:200]

@@ -38,8 +38,8 @@ class DemoConfig:
     env: Literal["TwoViewPose-v0", "TwoViewPoseDiscrete-v0"] = "TwoViewPose-v0"
     """Any view on the view sphere, or one of a fixed set."""
     device: str = "auto"
-    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
-    `cuda:N` or `mps`."""
+    """Where networks run: `auto` (a GPU if there is one, else the CPU), `cpu`, `cuda`, `cuda:N` or
+    `mps`."""
     out: Path = Path("demo.png")
     """File for the image."""
     json: Path | None = None

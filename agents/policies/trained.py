@@ -47,7 +47,7 @@ def load_policy(path: str | os.PathLike[str], env: gym.Env, device: str = "auto"
     Args:
         path: the file.
         env: the environment in which it will act.
-        device: where its networks run: ``auto`` (a GPU where there is one), ``cpu``, ``cuda``,
+        device: where its networks run: ``auto`` (a GPU if there is one), ``cpu``, ``cuda``,
             ``cuda:N`` or ``mps``.
 
     Raises:

@@ -68,8 +68,8 @@ class TrainAgentConfig:
     hyperparameters: Path | None = None
     """YAML file in rl-zoo3's format; by default the shipped one."""
     device: str = "auto"
-    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
-    `cuda:N` or `mps`."""
+    """Where networks run: `auto` (a GPU if there is one, else the CPU), `cpu`, `cuda`, `cuda:N` or
+    `mps`."""
     progress: bool = True
     """Show a progress bar."""
     json: Path | None = None
@@ -133,8 +133,8 @@ class EvaluateAgentConfig:
     estimator: str = "mid"
     """Pose estimator: `mid`, `single`, or a .safetensors file for `mid`."""
     device: str = "auto"
-    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
-    `cuda:N` or `mps`."""
+    """Where networks run: `auto` (a GPU if there is one, else the CPU), `cpu`, `cuda`, `cuda:N` or
+    `mps`."""
     progress: bool = True
     """Show a progress bar."""
     json: Path | None = None

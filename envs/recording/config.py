@@ -44,8 +44,8 @@ class RecordBankConfig:
     weights: str = "lmo"
     """Weights for that dataset: a name or a file."""
     device: str = "auto"
-    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
-    `cuda:N` or `mps`."""
+    """Where networks run: `auto` (a GPU if there is one, else the CPU), `cpu`, `cuda`, `cuda:N` or
+    `mps`."""
     workers: int = 2
     """Number of worker processes."""
     worker_memory: float = 2.5

@@ -63,8 +63,8 @@ class EvaluateConfig:
     cache_dir: Path | None = None
     """Keep the rendered scenes in this folder; reuse them if they are there already."""
     device: str = "auto"
-    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
-    `cuda:N` or `mps`."""
+    """Where networks run: `auto` (a GPU if there is one, else the CPU), `cpu`, `cuda`, `cuda:N` or
+    `mps`."""
     threads: int = 0
     """CPU threads that estimates may use; 0: all cores."""
     json: Path | None = None

@@ -54,8 +54,8 @@ class EstimateConfig:
     weights: str = "linemod"
     """Name of shipped weights, or a file."""
     device: str = "auto"
-    """Where networks run: `auto` (a GPU where there is one, else the processor), `cpu`, `cuda`,
-    `cuda:N` or `mps`."""
+    """Where networks run: `auto` (a GPU if there is one, else the CPU), `cpu`, `cuda`, `cuda:N` or
+    `mps`."""
     out: Path = Path("pose.json")
     """Write the pose here."""
     overlay: Path | None = Path("overlay.png")

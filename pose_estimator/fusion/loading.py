@@ -30,7 +30,7 @@ def load(
         weights: name of shipped weights, or a path to a ``.safetensors`` file.
         preset: of the volumes, ``fast`` or ``paper``, to require; None accepts either.
         solver: from 3D keypoints to the pose, ``soft``, ``kabsch`` or ``hard``.
-        device: ``auto`` (a GPU where there is one), ``cpu``, ``cuda``, ``cuda:N`` or ``mps``.
+        device: ``auto`` (a GPU if there is one), ``cpu``, ``cuda``, ``cuda:N`` or ``mps``.
         threads: CPU threads that an estimate may use; 0: all cores.
 
     Returns:

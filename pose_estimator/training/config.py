@@ -132,7 +132,7 @@ class TrainEstimatorConfig:
     seed: int = 0
     """Random seed."""
     device: str = "auto"
-    """Where the networks run: auto (a GPU where there is one), cpu, cuda, cuda:N or mps."""
+    """Where the networks run: auto (a GPU if there is one), cpu, cuda, cuda:N or mps."""
     threads: int = 0
     """Threads for the networks; 0 = all cores, shared evenly by `torchrun` processes on a
     machine."""
