@@ -9,7 +9,7 @@ up to rounding.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, is_dataclass
 from itertools import islice
 from typing import Any, TypeVar
@@ -241,8 +241,12 @@ class Inference:
 def _identical(one: Any, other: Any) -> bool:
     """Whether two results are equal bit for bit."""
 
-    def arrays(result: Any) -> list[Any]:
-        return tree_leaves(vars(result) if is_dataclass(result) else result)
+    def arrays(result: Any) -> Iterator[Any]:
+        for leaf in tree_leaves(result):
+            if is_dataclass(leaf):
+                yield from arrays(vars(leaf))
+            else:
+                yield leaf
 
     pairs = zip(arrays(one), arrays(other), strict=True)
     # NumPy has no bfloat16.

@@ -23,14 +23,14 @@ def test_single_items_use_all_cores_only_if_bit_equal(networks, monkeypatch, sam
         answer = np.ones(3) + (0 if same else 1e-9 * here)
         maps = (torch.ones(2, dtype=torch.bfloat16),)
         crop = EncodedCrop(torch.zeros(1), torch.zeros(1), maps, answer, answer, answer, answer)
-        return [crop for _ in items]
+        return [[crop] for _ in items]
 
     def asked(items: str, idle: int, kind: str | None) -> list[str]:
         monkeypatch.setattr(inference_module, "idle_cores", lambda: idle)
         places.clear()
         answers = inference.in_batches(work, items, kind=kind)
         assert len(answers) == len(items)
-        assert all(np.array_equal(a.vote_mean, answers[0].vote_mean) for a in answers)
+        assert all(np.array_equal(a.vote_mean, answers[0][0].vote_mean) for (a,) in answers)
         return places
 
     assert asked("a", 2, "frame") == ["one core", "all cores"]  # the first time: both ways
