@@ -67,14 +67,7 @@ def header(
     done: Mapping[str, int],
     held_out: Mapping[str, float],
 ) -> dict[str, Any]:
-    """Returns the header of the weights.
-
-    Args:
-        config: of the training.
-        networks: the trained networks.
-        done: the stages of this training, and the step that each has reached.
-        held_out: validation results.
-    """
+    """Returns the header of the weights, given the step that each stage has reached."""
     from ..networks.weights import find_weights, read_header
     from .distributed import world_size
 

@@ -204,17 +204,8 @@ def train_stage(
 ) -> int | None:
     """Runs a stage if it is requested, else restores its checkpoint if there is one.
 
-    Args:
-        config: of the training.
-        name: of the stage.
-        networks: changed in place.
-        train: the training set.
-        held_out: the validation set.
-        log: of the training.
-        deadline: when to stop, by ``time.monotonic()``.
-
-    Returns:
-        The step that the stage has reached; None if it is not part of this training.
+    Returns the step that the stage has reached; None if it is not part of this training.
+    ``deadline`` is a time of ``time.monotonic()``.
     """
     from .checkpoints import load_checkpoint, read_counters
     from .distributed import broadcast_decision

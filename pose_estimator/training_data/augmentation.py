@@ -1,4 +1,7 @@
-"""Augmentation of training images: geometry, light, sensor noise, occlusion."""
+"""Augmentation of training images: geometry, light, sensor noise, occlusion.
+
+Images are RGB uint8 (H, W, 3), masks uint8 (H, W) from 0 to 255.
+"""
 
 from __future__ import annotations
 
@@ -117,12 +120,7 @@ def erase_box(
 ) -> None:
     """Erases a random box with the configured probability, in place.
 
-    Args:
-        config: augmentation strength.
-        rng: random generator.
-        image: RGB uint8 (H, W, 3); one color within the box.
-        mask: visible mask, (H, W) uint8; 0 within the box.
-        depth: meters (H, W); 0 (unknown) within the box.
+    The image gets one color within the box, the visible mask and the depth (H, W) 0.
     """
     if not _happens(config.erase, rng):
         return
@@ -141,16 +139,8 @@ def paint_spots(
 ) -> np.ndarray:
     """Paints soft spots of random brightness on the target with the configured probability.
 
-    A scanned model differs from its object. The target's mask is unchanged.
-
-    Args:
-        config: augmentation strength.
-        rng: random generator.
-        image: RGB uint8 (H, W, 3).
-        mask: of the visible target, uint8 (H, W), 0 to 255.
-
-    Returns:
-        A new image, or ``image`` itself if nothing is painted.
+    A scanned model differs from its object. Returns a new image, or ``image`` itself if nothing is
+    painted; the target's visible mask is unchanged.
     """
     if not _happens(config.spots, rng):
         return image
@@ -180,19 +170,17 @@ def recolor_side(
 ) -> np.ndarray:
     """Recolors a visible side of the target with the configured probability.
 
-    LineMOD's can is open and dark at the top; its scan is closed.
+    LineMOD's can is open and dark at the top; its scan is closed. Returns a new image, or ``image``
+    itself if nothing is recolored.
 
     Args:
         config: augmentation strength.
         rng: random generator.
-        image: RGB uint8 (H, W, 3).
-        mask: of the visible target, uint8 (H, W), 0 to 255.
+        image: of the target.
+        mask: of the visible target.
         points: (P, 3) of its surface, in its frame.
         pixels: (P, 2) their projections.
         view: (3,) from the target towards the camera, in its frame.
-
-    Returns:
-        A new image, or ``image`` itself if nothing is recolored.
     """
     if not len(points) or not _happens(config.recolored_side, rng):
         return image
@@ -216,7 +204,7 @@ def _tint(image: np.ndarray, spot: np.ndarray, rng: np.random.Generator) -> np.n
 def augment_colors(
     image: np.ndarray, config: AugmentationConfig, rng: np.random.Generator
 ) -> np.ndarray:
-    """Returns an image, RGB uint8 (H, W, 3), with random light, blur and sensor noise."""
+    """Returns an image with random light, blur and sensor noise."""
     gain = np.exp(rng.normal(0, config.brightness) + rng.normal(0, config.white_balance, 3))
     contrast = np.exp(rng.normal(0, config.contrast))
     levels = np.arange(256, dtype=np.float32)[:, None]

@@ -129,15 +129,9 @@ class CropPaster:
         return crop, mask, depth
 
     def paste_frame(self, image: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
-        """Puts a synthetic background or distractors behind all targets of a frame.
+        """Puts a synthetic background or distractors behind all targets of a frame of the pack.
 
-        Args:
-            image: the frame at the detector's size, RGB uint8 (H, W, 3).
-            frame: its index in the pack.
-            rng: random generator.
-
-        Returns:
-            A new image, or ``image`` itself if nothing is changed.
+        Returns a new image (H, W, 3), or ``image`` itself if nothing is changed.
         """
         if not self._collages:
             return image

@@ -78,7 +78,7 @@ def train(data: Path, out: Path, more: str = "") -> int:
     return main(f"train-estimator --data {data} --out {out} --init linemod {steps} {more}".split())
 
 
-def test_their_own_models_are_trained_and_measured(others: Path, tmp_path: Path, capsys):
+def test_dataset_models_are_trained_and_evaluated(others: Path, tmp_path: Path, capsys):
     assert train(others, tmp_path, "--split train_real") == 0
     printed = capsys.readouterr().out
     assert f"objects of {others / 'models'}: obj_000002, obj_000019" in printed
@@ -97,25 +97,25 @@ def test_their_own_models_are_trained_and_measured(others: Path, tmp_path: Path,
     assert counted == {"obj_000002": 6, "obj_000019": 6, "mean": 12}
 
 
-def test_some_of_their_models_are_trained_under_names_of_ones_own(others: Path, tmp_path: Path):
+def test_a_dataset_model_is_trained_under_a_given_name(others: Path, tmp_path: Path):
     mesh = others / "models" / "obj_000019.ply"
     assert train(others, tmp_path, f"--split train_real --objects stairs={mesh}") == 0
     (entry,) = read_header(tmp_path / "weights.safetensors")["objects"].items()
     assert entry[0] == "stairs" and entry[1]["obj_id"] == 19
 
 
-def test_a_split_that_is_not_there_is_answered_with_those_that_are(others, tmp_path, capsys):
+def test_a_missing_split_lists_the_existing_ones(others, tmp_path, capsys):
     assert train(others, tmp_path) == 2
     assert "available with --split: test, train_real" in capsys.readouterr().err
 
 
-def test_our_own_data_is_of_our_thirteen(tmp_path: Path):
+def test_generated_data_uses_the_built_in_objects(tmp_path: Path):
     assert dataset_models(tmp_path) is None  # no models at all
     write_models(tmp_path, [load_object("ape"), load_object("can")])
     assert dataset_models(tmp_path) is None
 
 
-def test_a_scan_that_bears_one_of_our_names_is_not_ours(tmp_path: Path):
+def test_a_scan_with_a_built_in_name_is_not_built_in(tmp_path: Path):
     assert "ape" in OBJECT_NAMES
     scan = replace(solid("bracket"), name="ape", obj_id=1)
     write_models(tmp_path, [scan, load_object("can")])
@@ -123,7 +123,7 @@ def test_a_scan_that_bears_one_of_our_names_is_not_ours(tmp_path: Path):
     assert dataset_models(tmp_path) == [str(scanned), "can"]
 
 
-def test_what_only_stood_around_is_not_trained(tmp_path: Path):
+def test_distractors_are_not_trained(tmp_path: Path):
     write_models(tmp_path, [solid("bracket"), load_object("can")])
     manifest = {"settings": {"objects": ["bracket"], "distractors": ["can"]}}
     (tmp_path / "manifest.json").write_text(json.dumps(manifest))

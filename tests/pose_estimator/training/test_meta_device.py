@@ -87,7 +87,7 @@ def prepare_stage(pack: CropPack, boxes, monkeypatch):
 
 
 @pytest.mark.parametrize("name", STAGES)
-def test_a_training_makes_its_tensors_where_its_networks_are(prepare_stage, name: str):
+def test_stages_create_tensors_on_the_device_of_the_networks(prepare_stage, name: str):
     make = prepare_stage(name, "cpu")
     with strict_host():
         stage = make()
@@ -103,7 +103,7 @@ def test_a_training_makes_its_tensors_where_its_networks_are(prepare_stage, name
 
 @pytest.mark.parametrize("with_covariance", [False, True])
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_solvers_make_their_tensors_where_the_keypoints_are(boxes, solver, with_covariance):
+def test_solvers_create_tensors_on_the_device_of_the_keypoints(boxes, solver, with_covariance):
     # One model for each pose: what a processor remembers of a model, no GPU sees.
     model = torch.from_numpy(boxes["brick"].keypoints).float().expand(2, 9, 3)
     predicted = (model + 0.1 + 0.01 * torch.rand(2, 9, 3)).requires_grad_()
@@ -116,7 +116,7 @@ def test_solvers_make_their_tensors_where_the_keypoints_are(boxes, solver, with_
     assert motion.rotation.device.type == "cpu" and torch.isfinite(predicted.grad).all()
 
 
-def test_votes_points_and_plane_sweeps_are_made_where_their_inputs_are():
+def test_votes_points_and_plane_sweeps_stay_on_the_device_of_their_inputs():
     # All pixels take part in the first, a draw of them in the second.
     fields = [(torch.randn(2, 9, 2, n, n), torch.rand(2, 9, n, n)) for n in (12, 24)]
     K = torch.tensor([[100.0, 0, 15.5], [0, 100, 15.5], [0, 0, 1]]).expand(2, 3, 3)
@@ -147,7 +147,7 @@ def test_votes_points_and_plane_sweeps_are_made_where_their_inputs_are():
         lambda x: torch.rand(3) + x,
     ],
 )
-def test_what_a_gpu_would_refuse_is_refused(wrong):
+def test_strict_host_rejects_what_a_gpu_rejects(wrong):
     x = torch.ones(3)
     with strict_host(), pytest.raises((RuntimeError, NotImplementedError)):
         wrong(x)

@@ -1,4 +1,4 @@
-"""The verb: every stage takes a step on a tiny dataset, and the weights load."""
+"""The command: every stage takes a step on a tiny dataset, and the weights load."""
 
 import copy
 import json
@@ -29,7 +29,7 @@ from two_view_pose.pose_estimator.training_data.crops import CropPack
 from two_view_pose.pose_estimator.training_data.dataset import TrainingSet
 
 
-def test_unknown_stages_are_named(tmp_path: Path):
+def test_unknown_stages_are_an_error(tmp_path: Path):
     with pytest.raises(ValueError, match=r"unknown stages \['magic'\]; there are detector"):
         TrainEstimatorConfig(data=tmp_path, out=tmp_path / "out", stages=("features", "magic"))
 
@@ -64,7 +64,7 @@ def test_all_stages_end_in_weights_that_load(
     assert path.read_bytes() == again and read_header(path) == header
 
 
-def test_a_budget_ends_in_weights_and_the_same_command_goes_on(
+def test_max_minutes_writes_weights_and_resumes(
     dataset: Path, pack: CropPack, boxes, tmp_path: Path, monkeypatch, capsys
 ):
     monkeypatch.setattr(assets, "load_objects", lambda spec, load=None: boxes)
@@ -134,7 +134,7 @@ def dataset_with_depth(dataset: Path, boxes, tmp_path: Path) -> Path:
     ("part", "stage", "method", "other"),
     [("cascade", CascadeStage, "early", "rgbd"), ("points", PointStage, "rgbd", "early")],
 )
-def test_a_part_is_added_to_finished_weights(
+def test_a_part_is_added_to_trained_weights(
     part, stage, method, other,
     dataset_with_depth: Path, boxes, networks: PoseNetworks, tmp_path: Path, monkeypatch,
 ):  # fmt: skip
@@ -163,7 +163,7 @@ def test_a_part_is_added_to_finished_weights(
         pose_estimator.load(other, path)
 
 
-def test_new_features_make_the_cascade_on_the_old_ones_useless(
+def test_new_features_invalidate_the_cascade(
     dataset_with_depth: Path, boxes, networks: PoseNetworks, tmp_path: Path, monkeypatch
 ):
     monkeypatch.setattr(assets, "load_objects", lambda spec, load=None: boxes)
@@ -178,7 +178,7 @@ def test_new_features_make_the_cascade_on_the_old_ones_useless(
     assert read_header(train_estimator(config))["trained"] == ["detector", "features"]
 
 
-def test_the_header_says_how_the_data_was_made(tmp_path: Path):
+def test_describe_data_holds_the_generate_settings(tmp_path: Path):
     from two_view_pose.envs.datagen.generate import GenerateConfig, write_manifest
 
     write_manifest(GenerateConfig(out=tmp_path / "mine", scenes=3, seed=9), ("duck",))
@@ -188,9 +188,7 @@ def test_the_header_says_how_the_data_was_made(tmp_path: Path):
     assert said["generate"]["settings"]["objects"] == ["duck"]
 
 
-def test_the_volume_stage_sees_one_pose_in_both_views(
-    pack: CropPack, boxes, networks: PoseNetworks
-):
+def test_relabel_votes_of_a_symmetric_object(pack: CropPack, boxes, networks: PoseNetworks):
     # Votes of the symmetric object for the other equivalent are renumbered to the trained pose.
     training = TrainingSet(pack, boxes, networks.features.config, None)
     stage = VolumeStage(networks, training, training, steps=1, batch=1, learning_rate=1.0, seed=0)

@@ -1,4 +1,4 @@
-"""Crops keep positions to a small part of a pixel, whatever the scale; packs say what they hold."""
+"""Crops keep positions at subpixel accuracy; packs hold every target."""
 
 import json
 import shutil
@@ -29,7 +29,7 @@ def centroid(crop: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("side", [60.0, 128.0, 183.0, 250.0, 330.0, 411.0])
-def test_a_dot_lands_where_the_affine_map_says(side):
+def test_warp_crop_keeps_positions(side):
     position = (301.3, 222.6)
     image = dot(position, side / 20)
     affine = crop_matrix(np.array([310.7, 228.2]), side, 128)
@@ -37,7 +37,7 @@ def test_a_dot_lands_where_the_affine_map_says(side):
     assert np.abs(centroid(warp_crop(image, affine, 128)) - expected).max() < 0.05
 
 
-def test_a_turned_crop_keeps_positions_too():
+def test_a_rotated_crop_keeps_positions():
     position = (301.3, 222.6)
     turn = cv2.getRotationMatrix2D((63.5, 63.5), 20, 1.0)
     affine = np.vstack([turn, [0, 0, 1]]) @ crop_matrix(np.array([310.7, 228.2]), 300.0, 128)
@@ -46,7 +46,7 @@ def test_a_turned_crop_keeps_positions_too():
 
 
 @pytest.mark.parametrize("side", [60.0, 250.0, 400.0])
-def test_a_ramp_stays_a_ramp(side):
+def test_warp_crop_keeps_a_ramp(side):
     ramp = np.repeat(np.arange(640, dtype=np.float64)[None] * 0.39, 480, 0).round()
     affine = crop_matrix(np.array([320.0, 240.0]), side, 128)
     crop = warp_crop(ramp.astype(np.uint8), affine, 128).astype(float)
@@ -55,7 +55,7 @@ def test_a_ramp_stays_a_ramp(side):
     assert np.abs(crop[64] - 0.39 * columns).mean() < 0.4
 
 
-def test_shrinking_averages():
+def test_warp_crop_averages_when_shrinking():
     board = np.indices((480, 640)).sum(0) % 2 * 255
     crop = warp_crop(board.astype(np.uint8), crop_matrix(np.array([320, 240]), 400.0, 128), 128)
     assert np.abs(crop[4:-4, 4:-4].astype(int) - 127).max() < 60
@@ -63,7 +63,7 @@ def test_shrinking_averages():
 
 @pytest.mark.parametrize("center", [(-500.0, 240.0), (5000.0, 240.0), (320.0, -900.0)])
 @pytest.mark.parametrize("side", [60.0, 400.0])
-def test_outside_of_the_picture_is_gray(center, side):
+def test_outside_of_the_image_is_gray(center, side):
     affine = crop_matrix(np.array(center), side, 64)
     image = np.full((480, 640, 3), 255, np.uint8)
     assert (warp_crop(image, affine, 64) == 127).all()
@@ -99,7 +99,7 @@ def packed_at(dataset) -> int:
     return (dataset / "packed_train_pbr" / "crops.bin").stat().st_mtime_ns
 
 
-def test_a_pack_is_opened_again_and_made_again_for_others(dataset, boxes, tmp_path):
+def test_a_pack_is_reused_or_packed_again_for_other_objects(dataset, boxes, tmp_path):
     copy = shutil.copytree(dataset, tmp_path / "copy", ignore=shutil.ignore_patterns("packed_*"))
     first = pack_dataset(copy, boxes)
     made = packed_at(copy)
@@ -112,7 +112,7 @@ def test_a_pack_is_opened_again_and_made_again_for_others(dataset, boxes, tmp_pa
         made = packed_at(copy)
 
 
-def test_a_pack_is_made_again_for_other_scenes_of_the_same_number(dataset, boxes, tmp_path):
+def test_a_dataset_with_other_scenes_is_packed_again(dataset, boxes, tmp_path):
     copy = shutil.copytree(dataset, tmp_path / "copy", ignore=shutil.ignore_patterns("packed_*"))
     scenes = copy / "train_pbr"
     assert set(pack_dataset(copy, boxes).scene_id) == {0, 1, 2}
@@ -128,7 +128,7 @@ def test_a_pack_is_made_again_for_other_scenes_of_the_same_number(dataset, boxes
     assert sum(found) == 1
 
 
-def test_many_scenes_are_packed_by_several_processes(dataset, boxes, tmp_path):
+def test_several_processes_pack_like_one(dataset, boxes, tmp_path):
     scenes = tmp_path / "many" / "train_pbr"
     for number in range(9):
         shutil.copytree(dataset / "train_pbr" / f"{number % 3:06d}", scenes / f"{number:06d}")
@@ -140,7 +140,7 @@ def test_many_scenes_are_packed_by_several_processes(dataset, boxes, tmp_path):
     assert np.array_equal(many.crops, np.tile(few.crops, 3))
 
 
-def test_a_missing_split_is_named(dataset, boxes):
+def test_a_missing_split_is_an_error(dataset, boxes):
     with pytest.raises(ValueError, match="no split 'test'"):
         pack_dataset(dataset, boxes, split="test")
 

@@ -1,16 +1,11 @@
-"""Cut-and-paste on crops: what is seen, the mask and the depth go on saying the same."""
+"""Cut-and-paste on crops: image, mask and depth stay consistent."""
 
 from __future__ import annotations
-
-from functools import partial
 
 import cv2
 import numpy as np
 import pytest
-import torch
 from two_view_pose.pose_estimator.networks.features import FeatureConfig
-from two_view_pose.pose_estimator.training.loader import NumberedBatches
-from two_view_pose.pose_estimator.training.stages import draw_crop
 from two_view_pose.pose_estimator.training_data import cut_and_paste
 from two_view_pose.pose_estimator.training_data.augmentation import AugmentationConfig
 from two_view_pose.pose_estimator.training_data.crops import STORED_SIDE, CropPack
@@ -64,7 +59,7 @@ def discs(objects: list[int], frames: list[int]) -> CropPack:
 
 @pytest.fixture
 def few_collages(monkeypatch) -> None:
-    """A training draws as many as it keeps crops, in seconds."""
+    """Draws fewer collages than the default, which takes seconds."""
     monkeypatch.setattr(cut_and_paste, "BANK_SIZE", 8)
 
 
@@ -85,7 +80,7 @@ def like(crop: np.ndarray, color: np.ndarray) -> np.ndarray:
     return np.abs(crop.astype(int) - color).max(-1) < 12
 
 
-def test_an_occluder_hides_what_the_mask_no_longer_claims(three):
+def test_an_occluder_is_subtracted_from_mask_and_depth(three):
     paster = CropPaster(three, np.arange(5), CutAndPasteConfig(occlude=1.0))
     crop, mask, depth = red_disc()
     hidden = 0
@@ -105,7 +100,7 @@ def test_an_occluder_hides_what_the_mask_no_longer_claims(three):
     assert hidden > 20
 
 
-def test_a_background_is_replaced_behind_the_target_alone(three):
+def test_a_background_is_replaced_behind_the_target_only(three):
     paster = CropPaster(three, np.arange(5), CutAndPasteConfig(background=1.0))
     crop, mask, depth = red_disc()
     kinds = set()
@@ -119,7 +114,7 @@ def test_a_background_is_replaced_behind_the_target_alone(three):
     assert kinds == {1, 2}
 
 
-def test_a_background_that_shows_the_object_is_not_taken():
+def test_a_background_never_shows_the_object():
     config = CutAndPasteConfig(background=1.0)
     crop, mask, depth = red_disc()
     both = CropPaster(discs([0, 1, 2], [0, 0, 1]), np.arange(3), config)
@@ -128,7 +123,7 @@ def test_a_background_that_shows_the_object_is_not_taken():
         assert not like(seen, GROUND[1]).any() and like(seen, GROUND[2]).any()
 
 
-def test_probabilities(three):
+def test_probability_of_a_background(three):
     crop, mask, depth = red_disc()
     for config, expected in (
         (CutAndPasteConfig(), 0.0),
@@ -142,7 +137,7 @@ def test_probabilities(three):
         assert np.mean(changed) == pytest.approx(expected, abs=0.08)
 
 
-def test_the_same_draw_whatever_was_drawn_before(three):
+def test_paste_does_not_depend_on_previous_draws(three):
     config = CutAndPasteConfig(occlude=0.7, background=0.7)
     crop, mask, depth = red_disc()
     first, second = (CropPaster(three, np.arange(5), config) for _ in range(2))
@@ -156,11 +151,11 @@ def test_the_same_draw_whatever_was_drawn_before(three):
 
 
 @pytest.mark.usefixtures("few_collages")
-def test_nothing_to_paste_is_told():
+def test_nothing_to_paste_is_an_error():
     alone = discs([0, 0], [0, 1])
     with pytest.raises(ValueError, match="needs a second object"):
         CropPaster(alone, np.arange(2), CutAndPasteConfig(occlude=0.5))
-    # Drawn collages can be put behind it all the same.
+    # Synthetic backgrounds need no other object.
     drawn = CutAndPasteConfig(occlude=0.5, background=1.0, collages=0.5)
     crop, mask = alone.crop(0), alone.mask(0)
     paster = CropPaster(alone, np.arange(2), drawn)
@@ -174,18 +169,14 @@ def test_nothing_to_paste_is_told():
     seen, left, _ = CropPaster(full, np.arange(3), both).paste(
         crop, mask, depth, 0, np.random.default_rng(2)
     )
-    assert like(seen, GROUND[0])[left == 0].any()  # what can be done is done
-
-
-def drawn(config: CutAndPasteConfig, pack: CropPack, targets: int) -> CropPaster:
-    return CropPaster(pack, np.arange(targets), config)
+    assert like(seen, GROUND[0])[left == 0].any()  # the occluder alone
 
 
 @pytest.mark.usefixtures("few_collages")
-def test_drawn_backgrounds_need_no_other_picture():
-    """Where every frame shows all objects, nothing can be cut out to stand behind one."""
+def test_synthetic_backgrounds_need_no_other_frame():
+    """If every frame shows all objects, no background can be cut out."""
     full = discs([0, 1, 2], [0, 0, 0])
-    paster = drawn(CutAndPasteConfig(background=1.0, collages=0.5), full, 3)
+    paster = CropPaster(full, np.arange(3), CutAndPasteConfig(background=1.0, collages=0.5))
     crop, mask, depth = red_disc()
     seen, left, known = paster.paste(crop, mask, depth, 0, np.random.default_rng(0))
     assert np.array_equal(left, mask) and like(seen, COLORS[0])[mask > 0].all()
@@ -194,8 +185,8 @@ def test_drawn_backgrounds_need_no_other_picture():
 
 
 @pytest.mark.usefixtures("few_collages")
-def test_a_share_of_the_backgrounds_is_drawn(three):
-    paster = drawn(CutAndPasteConfig(background=1.0, collages=0.5), three, 5)
+def test_a_fraction_of_the_backgrounds_is_synthetic(three):
+    paster = CropPaster(three, np.arange(5), CutAndPasteConfig(background=1.0, collages=0.5))
     crop, mask, _ = red_disc()
     cut = 0
     for seed in range(60):
@@ -205,7 +196,7 @@ def test_a_share_of_the_backgrounds_is_drawn(three):
 
 
 @pytest.mark.usefixtures("few_collages")
-def test_a_frame_keeps_its_targets_before_a_drawn_background():
+def test_a_frame_keeps_its_targets_in_front_of_a_synthetic_background():
     """Two targets whose stored crops lie at known places of the frame."""
     pack = discs([0, 1, 2], [0, 0, 1])
     places = [(20.0, 30.0), (120.0, 24.0), (0.0, 0.0)]
@@ -218,21 +209,21 @@ def test_a_frame_keeps_its_targets_before_a_drawn_background():
         inside = disc(STORED_SIDE)[: window.shape[0], : window.shape[1]] > 0
         window[inside] = COLORS[target]
     before = frame.copy()
-    paster = drawn(CutAndPasteConfig(background=1.0, collages=1.0), pack, 3)
+    paster = CropPaster(pack, np.arange(3), CutAndPasteConfig(background=1.0, collages=1.0))
     seen = paster.paste_frame(frame, 0, np.random.default_rng(3))
     assert np.array_equal(frame, before) and seen.shape == frame.shape
     ours = like(before, COLORS[0]) | like(before, COLORS[1])
     assert np.array_equal(seen[ours], before[ours])
     assert (seen[~ours] == 60).all(-1).mean() < 0.2
-    never = drawn(CutAndPasteConfig(background=0.0, collages=1.0), pack, 3)
+    never = CropPaster(pack, np.arange(3), CutAndPasteConfig(background=0.0, collages=1.0))
     assert never.paste_frame(frame, 0, np.random.default_rng(3)) is frame
-    none_drawn = drawn(CutAndPasteConfig(background=1.0), three_like(), 5)
+    none_drawn = CropPaster(three_like(), np.arange(5), CutAndPasteConfig(background=1.0))
     assert none_drawn.paste_frame(frame, 0, np.random.default_rng(3)) is frame
 
 
 @pytest.mark.usefixtures("few_collages")
 def test_distractors_have_colors_of_objects_and_other_shapes():
-    paster = drawn(CutAndPasteConfig(background=1.0, collages=1.0), three_like(), 3)
+    paster = CropPaster(three_like(), np.arange(3), CutAndPasteConfig(background=1.0, collages=1.0))
     frame = np.full((240, 320, 3), 60, np.uint8)
     before, shares, near = frame.copy(), [], []
     for seed in range(8):
@@ -262,7 +253,7 @@ def test_blending_is_a_weighted_mean():
     assert np.abs(blend(below, above, alpha) - expected).max() <= 1.01
 
 
-def test_the_mask_of_a_sample_is_where_its_color_is(pack, boxes):
+def test_mask_of_a_sample_matches_its_color(pack, boxes):
     jitter = AugmentationConfig(
         erase=0, noise=0, blur=0, brightness=0, contrast=0, white_balance=0
     )  # fmt: skip
@@ -279,15 +270,3 @@ def test_the_mask_of_a_sample_is_where_its_color_is(pack, boxes):
         assert (shown == (sample.mask > 0.5)).mean() > 0.97
         hidden += (small[..., other].astype(int) > 170).any()
     assert hidden > 6
-
-
-def test_batch_n_is_the_same_whatever_came_before(pack, boxes):
-    def draw(*numbers: int) -> dict:
-        training = TrainingSet(
-            pack, boxes, FeatureConfig(), cut_and_paste=CutAndPasteConfig(occlude=0.8)
-        )
-        batches = NumberedBatches(partial(draw_crop, training), 3, seed=5)
-        return [batches[number] for number in numbers][-1]
-
-    later, alone = draw(0, 1, 2, 3), draw(3)
-    assert all(torch.equal(later[name], alone[name]) for name in later)

@@ -19,7 +19,7 @@ from two_view_pose.pose_estimator.training_data.target_sample import TargetSampl
 
 CONFIG = FeatureConfig()
 PLAIN = AugmentationConfig(noise=0, blur=0, brightness=0, contrast=0, white_balance=0)
-"""Bends the crops and leaves their colors."""
+"""Jitters the crops without changing their colors."""
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def drawn_mask(sample: TargetSample, model) -> np.ndarray:
 
 
 @pytest.mark.parametrize("augmented", [False, True])
-def test_the_pose_falls_on_the_mask_and_on_the_picture(pack, boxes, augmented):
+def test_the_pose_matches_mask_and_image(pack, boxes, augmented):
     training = TrainingSet(pack, boxes, CONFIG, replace(PLAIN, erase=0) if augmented else None)
     rng = np.random.default_rng(0)
     models = list(boxes.values())
@@ -67,7 +67,7 @@ def test_directions_vote_for_the_keypoints_of_the_pose(training, boxes):
     assert (score > 0.95).all()
 
 
-def test_without_augmentation_the_crop_is_what_the_estimator_cuts(pack, boxes, dataset):
+def test_without_augmentation_the_crop_equals_the_estimators(pack, boxes, dataset):
     from two_view_pose.core.geometry import crop_matrix
     from two_view_pose.core.image_crop import warp_crop
     from two_view_pose.pose_estimator.bop.dataset import read_dataset, read_rgb
@@ -111,7 +111,7 @@ def test_symmetric_objects_get_the_canonical_pose(training, pack, boxes):
         )
 
 
-def test_held_out_scenes_are_not_trained(pack, boxes):
+def test_held_out_scenes_are_not_in_the_training_set(pack, boxes):
     train, held_out = (
         TrainingSet(pack, boxes, CONFIG, validation=0.3, held_out=later) for later in (False, True)
     )
@@ -121,7 +121,7 @@ def test_held_out_scenes_are_not_trained(pack, boxes):
     assert len(train.targets) + len(held_out.targets) == len(pack.object_index)
 
 
-def test_frames_of_the_detector_have_their_targets_on_the_objects(training, boxes):
+def test_detector_targets_of_a_frame_are_on_the_objects(training, boxes):
     config = DetectorConfig()
     rng = np.random.default_rng(0)
     for _ in range(5):
@@ -142,7 +142,7 @@ def test_frames_of_the_detector_have_their_targets_on_the_objects(training, boxe
             assert 0.3 < np.sqrt(near.sum()) / roi.side < 0.9
 
 
-def test_an_erased_box_is_taken_from_the_mask(pack, boxes):
+def test_an_erased_box_is_removed_from_the_mask(pack, boxes):
     training = TrainingSet(pack, boxes, CONFIG, replace(PLAIN, erase=1))
     rng = np.random.default_rng(0)
     missing = []
@@ -157,7 +157,7 @@ def test_an_erased_box_is_taken_from_the_mask(pack, boxes):
     assert max(missing) > 20 and min(missing) > -5
 
 
-def test_one_scene_cannot_be_trained_and_validated(pack, boxes):
+def test_too_few_scenes_to_validate_is_an_error(pack, boxes):
     alone = replace(pack, scene_id=np.zeros_like(pack.scene_id))
     for later in (False, True):
         with pytest.raises(ValueError, match="has 1 scene, and 1 of them would be kept"):
@@ -166,13 +166,13 @@ def test_one_scene_cannot_be_trained_and_validated(pack, boxes):
         TrainingSet(pack, boxes, CONFIG, validation=0.9)
 
 
-def test_pairs_need_two_pictures_of_a_scene(pack, boxes):
+def test_pairs_need_two_images_of_a_scene(pack, boxes):
     apart = replace(pack, scene_id=np.arange(len(pack.scene_id)))
     with pytest.raises(ValueError, match="generate --views 2"):
         TrainingSet(apart, boxes, CONFIG).draw_pair(np.random.default_rng(0))
 
 
-def test_what_leans_or_hides_is_drawn_less_where_that_can_be_told(pack):
+def test_sampling_weights_of_tilted_and_occluded_targets(pack):
     assert np.allclose(sampling_weights(pack), 1)  # all stand upright, in full view
     lying = pack.T_cam_obj.copy()
     lying[0, :3, :3] = lying[0, :3, :3] @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]

@@ -22,14 +22,14 @@ def wall_and_box() -> np.ndarray:
     return depth
 
 
-def test_no_strength_changes_nothing():
+def test_zero_strength_changes_nothing():
     depth = wall_and_box()
     out = augment_depth(depth, NOTHING, np.random.default_rng(0))
     np.testing.assert_allclose(out, depth, atol=1e-6)
     assert out is not depth
 
 
-def test_same_seed_same_map_and_unknown_stays_unknown():
+def test_depth_noise_is_seeded_and_unknown_depth_stays_unknown():
     depth, config = wall_and_box(), DepthAugmentationConfig()
     for seed in range(20):
         out, again = (augment_depth(depth, config, np.random.default_rng(seed)) for _ in range(2))
@@ -39,7 +39,7 @@ def test_same_seed_same_map_and_unknown_stays_unknown():
 
 
 @pytest.mark.parametrize("window", [0.0, 3.0])
-def test_noise_is_at_most_the_kinects_and_half_of_it_on_average(window):
+def test_noise_is_up_to_the_kinects(window):
     depth = np.full((128, 128), 1.2, np.float32)
     kinect = 0.0012 + 0.0019 * 0.8**2
     spreads = np.array(
@@ -52,7 +52,7 @@ def test_noise_is_at_most_the_kinects_and_half_of_it_on_average(window):
     assert spreads.mean() == pytest.approx(kinect / 2, rel=0.2)
 
 
-def test_steps_are_at_most_the_kinects():
+def test_quantization_is_up_to_the_kinects():
     ramp = np.linspace(0.9, 1.1, 128 * 128, dtype=np.float32).reshape(128, 128)
     for seed in range(10):
         out = augment_depth(ramp, only(steps=1.0), np.random.default_rng(seed)).astype(float)
@@ -60,7 +60,7 @@ def test_steps_are_at_most_the_kinects():
         assert np.abs(out - ramp).max() < 1.1**2 / (8 * 572.4 * 0.075) / 2 + 1e-5
 
 
-def test_edges_holes_and_single_pixels_are_lost():
+def test_missing_depth_at_edges_in_holes_and_single_pixels():
     depth = wall_and_box()
     beside = np.zeros(depth.shape, bool)
     beside[36:94, 26:84] = True
