@@ -32,8 +32,10 @@ def test_closing_the_iterator_ends_the_process():
 
 def test_a_process_that_is_interrupted_ends_its_own():
     code = (
-        "import time; from benchmarks.own_process import each_from_own_process\n"
+        "import signal, time; from benchmarks.own_process import each_from_own_process\n"
         "if __name__ == '__main__':\n"
+        # Shells start background jobs with SIGINT ignored, and children inherit that.
+        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "    print('ready', flush=True)\n"
         "    list(each_from_own_process(time.sleep, 60))"
     )
