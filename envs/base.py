@@ -174,9 +174,10 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
             InputError: if an option is unknown or not allowed.
         """
         super().reset(seed=seed)
-        scene_seed = int(self.np_random.integers(2**31))
         camera_range = self._scene_config.camera
-        return parse_reset_options(options, self.object_names, camera_range, scene_seed)
+        scene_seed, name, camera = parse_reset_options(options, self.object_names, camera_range)
+        drawn = int(self.np_random.integers(2**31))  # even where the options have a seed
+        return SceneRequest(drawn if scene_seed is None else scene_seed, name, camera)
 
     def begin(self, request: SceneRequest, scene: SceneInfo) -> None:
         """Begins an episode with the reference view of a scene."""

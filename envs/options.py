@@ -11,7 +11,6 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.geometry import check_rigid
 from .simulation.camera import CameraRange, view_sphere_pose
-from .simulation.simulator import SceneRequest
 
 OPTION_NAMES = ("object", "scene_seed", "reference_camera")
 _SPHERE_NAMES = ("distance", "azimuth", "elevation")
@@ -21,15 +20,17 @@ def parse_reset_options(
     options: Mapping[str, Any] | None,
     object_names: Sequence[str],
     camera_range: CameraRange,
-    default_seed: int,
-) -> SceneRequest:
+) -> tuple[int | None, str | None, np.ndarray | None]:
     """Validates the argument of ``reset``.
 
     Args:
         options: the argument of ``reset``.
         object_names: objects of the environment.
         camera_range: range of a reference camera given as a dict.
-        default_seed: scene seed if the options have none.
+
+    Returns:
+        Scene seed, object and T_cam_world (4, 4) of the reference camera; None for each that the
+        options do not fix.
 
     Raises:
         InputError: if a key is unknown or a value is not allowed.
@@ -45,11 +46,11 @@ def parse_reset_options(
     name, seed, camera = map(options.get, OPTION_NAMES)
     if name is not None and name not in object_names:
         raise InputError(f"option object must be one of {', '.join(object_names)}; got {name!r}")
-    seed = default_seed if seed is None else seed
-    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
-        raise InputError(f"option scene_seed must be an integer >= 0, got {seed!r}")
-    pose = None if camera is None else _parse_camera(camera, camera_range)
-    return SceneRequest(int(seed), name, pose)
+    if seed is not None:
+        if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
+            raise InputError(f"option scene_seed must be an integer >= 0, got {seed!r}")
+        seed = int(seed)
+    return seed, name, None if camera is None else _parse_camera(camera, camera_range)
 
 
 def _parse_camera(camera: Any, allowed: CameraRange) -> np.ndarray:

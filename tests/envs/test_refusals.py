@@ -115,3 +115,12 @@ def test_estimator_returns_an_invalid_pose(make):
 def test_bad_options(make, options, message):
     with pytest.raises(ValueError, match=message):
         make().reset(options=options)
+
+
+def test_bad_options_draw_nothing(make):
+    refused, untouched = make(), make()
+    for env in (refused, untouched):
+        env.reset(seed=3)
+    with pytest.raises(ValueError, match="sceneseed"):
+        refused.reset(options={"sceneseed": 1})
+    assert refused.reset()[1]["scene_seed"] == untouched.reset()[1]["scene_seed"]
