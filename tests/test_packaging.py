@@ -58,7 +58,7 @@ def test_importing_the_package_is_cheap():
 
 def test_files_and_arrays_need_no_torch():
     statement = "from two_view_pose import assets; from two_view_pose.core import geometry; "
-    statement += "from two_view_pose.pose_estimator.bop import dataset; "
+    statement += "from two_view_pose.pose_estimator.bop import dataset, writer; "
     statement += "from two_view_pose.pose_estimator.evaluation import metrics"
     assert loaded(statement, ["torch", "mujoco", "stable_baselines3"]) == []
 
