@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ from ..training_data.dataset import TrainingSet
 from .loader import Batch, NumberedBatches, SampleFunction, collate, load, to_device
 
 
-class StageBase:
+class StageBase(ABC):
     """What :func:`run_stage` needs of a stage.
 
     Args:
@@ -65,9 +66,9 @@ class StageBase:
         """The module that is trained."""
         return getattr(self.networks, self.part)
 
+    @abstractmethod
     def sample_function(self, source: TrainingSet) -> SampleFunction:
         """Returns what draws a sample from a training set; picklable, for the workers."""
-        raise NotImplementedError
 
     def shared_function(self) -> Callable[[np.random.Generator], int] | None:
         """Returns what draws the value that the samples of a batch share, if any."""
@@ -88,13 +89,13 @@ class StageBase:
         batches = NumberedBatches(draw, self.batch, self.seed, draw_shared)
         return load(batches, range(start, self.steps), self.workers, self.device)
 
+    @abstractmethod
     def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """Returns the loss of a batch, and its terms by name for the log."""
-        raise NotImplementedError
 
+    @abstractmethod
     def validate(self) -> dict[str, float]:
         """Returns metrics on the validation set, by name."""
-        raise NotImplementedError
 
     def held_out_batches(self) -> Iterator[Batch]:
         """Yields the validation batches, the same each time, on the device."""
@@ -152,9 +153,9 @@ class Predictions(NamedTuple):
 class KeypointStage(FrozenFeatureStage):
     """A network that predicts 3D keypoints."""
 
+    @abstractmethod
     def predict(self, batch: Batch) -> Predictions:
         """Runs a validation batch."""
-        raise NotImplementedError
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
