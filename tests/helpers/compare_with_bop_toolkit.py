@@ -194,7 +194,6 @@ def errors(
         "adi": kit.pose_error.adi(R_e, t_e, R_g, t_g, pts),
         "re": kit.pose_error.re(R_e, R_g),
         "re_symmetric": min(kit.pose_error.re(R_e, R_g @ s["R"]) for s in symmetries),
-        "te": kit.pose_error.te(t_e, t_g),
     }  # fmt: skip
 
 
