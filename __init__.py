@@ -7,11 +7,11 @@ stays cheap on purpose.
 
 from gymnasium.envs.registration import register
 
-from .core.thread_waiting import let_threads_sleep
+from .core.thread_waiting import set_wait_policy
 
 __version__ = "0.1.0"
 
-let_threads_sleep()
+set_wait_policy()
 
 register(
     id="TwoViewPose-v0",

@@ -22,7 +22,7 @@ BRIEF = {"GOMP_SPINCOUNT": "10000", "KMP_BLOCKTIME": "1"}
 _torch_came_first = False
 
 
-def let_threads_sleep() -> None:
+def set_wait_policy() -> None:
     """Sets OpenMP's wait policy unless the user has; acts on child processes if torch is loaded."""
     global _torch_came_first
     if any(name in os.environ for name in VARIABLES):
@@ -31,8 +31,8 @@ def let_threads_sleep() -> None:
     os.environ.update(BRIEF)
 
 
-def how_threads_wait() -> str:
-    """Describes the wait policy of this process, after :func:`let_threads_sleep`."""
+def describe_wait_policy() -> str:
+    """Describes the wait policy of this process, after :func:`set_wait_policy`."""
     variables = " ".join(f"{name}={os.environ[name]}" for name in VARIABLES if name in os.environ)
     if _torch_came_first:
         return f"spin while they wait: torch was imported before two_view_pose set {variables}"

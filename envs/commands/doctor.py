@@ -16,7 +16,7 @@ import numpy as np
 from ...core.cpu_cores import available_cores
 from ...core.processor import instructions, limits, number_format, processor_name
 from ...core.results import versions, write_results
-from ...core.thread_waiting import how_threads_wait
+from ...core.thread_waiting import describe_wait_policy
 
 _WARM_UP = 2
 """Estimates of each method that are not timed."""
@@ -93,7 +93,9 @@ def check_computing() -> Iterator[Check]:
     text = f"on the processor PyTorch uses its {torch.backends.cpu.get_cpu_capability()} kernels"
     text += f"{limited}; networks compute in {numbers}, convolutions {fused} what follows them"
     yield Check("kernels", None, text)
-    yield Check("threads", None, f"{torch.get_num_threads()} by default; they {how_threads_wait()}")
+    yield Check(
+        "threads", None, f"{torch.get_num_threads()} by default; they {describe_wait_policy()}"
+    )
 
 
 def check_objects() -> Check:

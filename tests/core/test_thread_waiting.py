@@ -11,7 +11,7 @@ ASK = """
 import os
 from two_view_pose.core import thread_waiting as waiting
 print({name: os.environ[name] for name in waiting.VARIABLES if name in os.environ})
-print(waiting.how_threads_wait())
+print(waiting.describe_wait_policy())
 """
 
 
