@@ -29,6 +29,7 @@ class ImprovingEstimator(ConstantEstimator):
         return estimate
 
 
+@pytest.mark.slow
 def test_demo_writes_an_image_and_the_errors(tmp_path, monkeypatch, capsys):
     T_cam_obj = np.eye(4)
     T_cam_obj[:3, 3] = 0.0, 0.0, 0.4  # nearer than any object is

@@ -30,7 +30,7 @@ def run(command: str) -> int:
     return main(command.split())
 
 
-pytestmark = pytest.mark.usefixtures("tiny_training")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("tiny_training")]
 
 
 @pytest.fixture(scope="module")

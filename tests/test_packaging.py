@@ -56,6 +56,7 @@ def test_importing_the_package_is_cheap():
     assert loaded("import two_view_pose", heavy) == []
 
 
+@pytest.mark.slow
 def test_files_and_arrays_need_no_torch():
     statement = "from two_view_pose import assets; from two_view_pose.core import geometry; "
     statement += "from two_view_pose.pose_estimator.bop import dataset, writer; "
@@ -119,6 +120,7 @@ def test_a_clone_is_light():
     check_size(blocks, 35, "working tree of a clone")
 
 
+@pytest.mark.slow
 def test_the_wheel_is_light():
     files = {
         f"{folder}/{path.relative_to(INSTALLED / folder)}": path
@@ -154,6 +156,7 @@ def test_tested_versions_are_allowed_and_complete():
         assert pins[name] in requirement.specifier
 
 
+@pytest.mark.slow
 def test_imports_are_declared():
     providers = {"pygame": ["pygame-ce"], **metadata.packages_distributions()}
 

@@ -58,6 +58,7 @@ def test_cached_object_is_bit_exact(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert_identical(imported, mesh_import.import_uncached(path, None, "auto", None, None))
 
 
+@pytest.mark.slow
 def test_every_input_is_part_of_the_key(
     tmp_path: Path, cache_home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,6 +86,7 @@ def test_mesh_with_material_files_is_not_cached(tmp_path: Path, cache_home: Path
     assert not entries(cache_home)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("garbage", [b"", b"PK\x03\x04 cut off", b"\x93NUMPY"])
 def test_corrupted_entries_are_replaced(tmp_path: Path, cache_home: Path, garbage: bytes) -> None:
     path = write_egg(tmp_path / "egg.ply")

@@ -13,6 +13,8 @@ from two_view_pose.assets import mesh_import
 from two_view_pose.assets.mesh_import import import_mesh
 from two_view_pose.assets.texture import sample_texture
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def small_textures(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -155,6 +155,7 @@ def test_other_objects_are_not_symmetric(name: str) -> None:
         assert moved > 0.015 or repainted > 0.05
 
 
+@pytest.mark.slow
 def test_loading_is_cached_and_needs_no_learning_library() -> None:
     assert assets.load_object("duck") is assets.load_object("duck")
     code = (

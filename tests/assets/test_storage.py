@@ -72,6 +72,7 @@ def test_object_without_its_surface(tmp_path: Path) -> None:
         add_or_add_s(np.eye(4), np.eye(4), again)
 
 
+@pytest.mark.slow
 def test_names_can_be_chosen(tmp_path: Path) -> None:
     mesh = tmp_path / "obj_000007.ply"
     trimesh.creation.box((0.1, 0.2, 0.3)).export(mesh)

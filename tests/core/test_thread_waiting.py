@@ -34,6 +34,7 @@ def test_the_package_lets_threads_sleep():
     assert words.startswith("sleep when they wait long")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", waiting.VARIABLES)
 def test_user_settings_are_kept(name):
     printed, words = fresh(f"import two_view_pose{ASK}", **{name: "7"}).splitlines()
@@ -41,12 +42,14 @@ def test_user_settings_are_kept(name):
     assert words == f"wait as {name}=7 says"
 
 
+@pytest.mark.slow
 def test_torch_imported_first():
     printed, words = fresh(f"import torch, two_view_pose{ASK}").splitlines()
     assert printed == str(waiting.BRIEF)
     assert words.startswith("spin while they wait: torch was imported before")
 
 
+@pytest.mark.slow
 def test_openmp_reads_the_variables():
     """GCC's OpenMP, which PyTorch's builds for Linux bring, prints how it waits when it starts."""
     torch_sums = "import two_view_pose, torch; torch.ones(10**6).sum()"

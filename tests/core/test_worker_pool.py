@@ -17,6 +17,8 @@ from helpers.small_sets import apes, file_bytes
 from two_view_pose.core.worker_pool import memory_in_use, run_scenes
 from two_view_pose.envs.datagen.generate import GenerateConfig, generate
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(("limit", "replaced"), [(1e-3, True), (0.0, False), (1e3, False)])
 def test_a_worker_above_the_memory_limit_is_replaced(

@@ -37,6 +37,7 @@ def loaded(monkeypatch):
     protocol.load_shipped.cache_clear()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env_id", IDS)
 def test_an_estimator_is_loaded_onto_the_device(env_id, loaded):
     gym.make(env_id, device="cuda:1").close()

@@ -9,6 +9,7 @@ from helpers.estimators import ConstantEstimator, PickyEstimator
 from two_view_pose.envs.two_view_pose import TwoViewPoseDiscreteEnv
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "action",
     [
@@ -30,6 +31,7 @@ def test_bad_actions(make, action):
     env.step(np.zeros(3))  # the episode continues after the error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("action", [-1, 24, 1.5, True, np.array([3, 4]), None, float("nan")])
 def test_bad_discrete_actions(make, action):
     env = make(TwoViewPoseDiscreteEnv)

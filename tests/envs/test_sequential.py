@@ -22,6 +22,7 @@ def env() -> Any:
     env.close()
 
 
+@pytest.mark.slow
 def test_check_env(env: Any) -> None:
     check_env(env, skip_render_check=True)
 

@@ -12,6 +12,8 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 from two_view_pose.envs.protocol import resolve_estimator
 
+pytestmark = pytest.mark.slow
+
 IDS = ("TwoViewPose-v0", "TwoViewPoseDiscrete-v0")
 
 

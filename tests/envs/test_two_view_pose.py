@@ -33,6 +33,7 @@ def same(first: Any, second: Any) -> bool:
     return first == second
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes(make):
     outcomes = []
     for env in (make(estimator=TableEstimator()), make(estimator=TableEstimator())):
@@ -55,6 +56,7 @@ def test_another_seed_is_another_scene(make):
     assert not np.array_equal(*images)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_object", [False, True])
 def test_an_episode_is_replayed_from_its_info(make, with_object):
     env = make()
@@ -118,6 +120,7 @@ def test_truth_is_only_under_ground_truth(make):
     assert not np.allclose(truth["T_cam_obj"], info["T_cam_obj"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weight", [0.0, 0.05, 2.0])
 def test_reward(make, objects, weight):
     T_off = pose((0.02, -0.03, 0.05), (0.004, -0.003, 0.006))
@@ -180,6 +183,7 @@ def test_action_is_a_viewpoint_on_the_sphere_around_the_estimate(make):
         assert invert(T_cam_world)[2, 0] == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_implausible_estimate_keeps_the_camera_above_the_table(make):
     for translation in ((0, 0, -3.0), (8, 8, 8), (0, 50, 1)):
         env = make(estimator=ConstantEstimator(pose((0, 0, 0), translation)))
@@ -216,6 +220,7 @@ def test_crop_shows_the_detection_and_what_is_around_it(make):
     assert env.observation_space["image"].shape == (60, 60, 3)
 
 
+@pytest.mark.slow
 def test_pose_noise_reaches_the_estimator_only(make):
     poses, seen = [], []
     for noise in (None, PoseNoise(2.0, 0.01), (2.0, 0.01)):
@@ -234,6 +239,7 @@ def test_pose_noise_reaches_the_estimator_only(make):
     assert 0.1 < angle < 12 and 1e-4 < np.linalg.norm(error[:3, 3]) < 0.06
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batched", [True, False])
 def test_simulated_actions_are_steps(make, batched):
     estimator = BatchedEstimator() if batched else TableEstimator()
@@ -277,6 +283,7 @@ def test_reference_camera_as_a_matrix(make):
     np.testing.assert_allclose(again["T_cam_world"], info["T_cam_world"], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_memory_stays_flat(objects):
     """In a process of its own: one that ran other tests first holds what those freed."""
     with ProcessPoolExecutor(1, get_context("spawn")) as worker:

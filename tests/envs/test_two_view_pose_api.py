@@ -40,6 +40,7 @@ def test_every_id_is_tested():
     assert {name for name in gym.registry if name.startswith("TwoViewPose")} == {*IDS, REPLAY}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env_id", IDS)
 @pytest.mark.parametrize("estimated", [True, False])
 def test_check_env_without_warnings(env_id, estimated, small, capsys):
@@ -55,6 +56,7 @@ def test_check_env_without_warnings(env_id, estimated, small, capsys):
     assert "WARN" not in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_vector_resets_in_the_same_step(vector, small):
     assert vector.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     first, infos = vector.reset(seed=[5, 6])
@@ -76,6 +78,7 @@ def test_vector_resets_in_the_same_step(vector, small):
     assert "add_second" not in infos["ground_truth"]
 
 
+@pytest.mark.slow
 def test_vector_of_discrete_actions(small):
     env = gym.make_vec("TwoViewPoseDiscrete-v0", num_envs=2, **small)
     env.reset(seed=0)

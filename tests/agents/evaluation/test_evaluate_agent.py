@@ -86,6 +86,7 @@ def test_results_file_and_table(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert evaluate_agents(config) == records
 
 
+@pytest.mark.slow
 def test_trained_policy_with_baselines(
     config: Callable[..., TrainAgentConfig], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,6 +18,7 @@ from two_view_pose.envs.view_banks.bank import ViewBank
 NAMES = ("random", "max-baseline", "oracle")
 
 
+@pytest.mark.slow
 def test_figures_with_and_without_bank(make_bank: Callable[..., ViewBank], tmp_path: Path) -> None:
     bank = make_bank(12)
     env = gym.make("two_view_pose:TwoViewPoseReplay-v0", bank=bank)

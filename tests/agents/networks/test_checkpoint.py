@@ -28,6 +28,7 @@ def agent(config: Make) -> Path:
     return train_agent(config(steps=32))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algo", ["ppo", "sac", "dqn"])
 def test_loaded_policy_equals_trained_policy(
     algo: str, config: Make, monkeypatch: pytest.MonkeyPatch

@@ -87,6 +87,7 @@ def test_stay_takes_no_second_view() -> None:
     assert make_policy("stay", env).act(env.reset(seed=0)[0]) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env_id", ENVS)
 def test_max_baseline_is_the_farthest_view(env_id: str) -> None:
     env = gym.make(env_id)

@@ -10,6 +10,7 @@ from two_view_pose.agents.policies.registry import make_policy
 RENDERED = {"estimator": None, "scene": "linemod", "resolution": (120, 160)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "env_id"),
     [

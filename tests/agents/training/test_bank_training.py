@@ -20,6 +20,8 @@ from two_view_pose.agents.training.config import EvaluateAgentConfig, TrainAgent
 from two_view_pose.agents.training.train_agent import CHECKPOINT, train_agent
 from two_view_pose.envs.view_banks.bank import ViewBank, write_bank
 
+pytestmark = pytest.mark.slow
+
 Make = Callable[..., ViewBank]
 
 HYPERPARAMETERS = """

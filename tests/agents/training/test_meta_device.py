@@ -97,6 +97,7 @@ def test_greedy_moves_inputs_to_the_device(bank: ViewBank) -> None:
         agent.confidence(observation, observation)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["greedy", "ppo"])
 def test_shipped_agents_with_meta_default(name: str) -> None:
     env = gym.make("two_view_pose:TwoViewPoseDiscrete-v0", estimator=None, resolution=(120, 160))
@@ -118,6 +119,7 @@ def test_supervised_training(bank: ViewBank, space: spaces.Dict) -> None:
         assert torch.equal(value, found[key]), key
 
 
+@pytest.mark.slow
 def test_supervised_training_on_meta(bank: ViewBank, space: spaces.Dict) -> None:
     agent = train_greedy_agent(bank, space, QUICK, 3, False, bank, META)
     assert {parameter.device.type for parameter in agent.parameters()} == {"meta"}

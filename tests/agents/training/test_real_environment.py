@@ -19,6 +19,8 @@ from two_view_pose.agents.training.train_agent import train_agent
 from two_view_pose.core.geometry import View
 from two_view_pose.pose_estimator.types import PoseEstimate
 
+pytestmark = pytest.mark.slow
+
 OBJECTS = ("duck", "cat")
 SMALL = {"resolution": (120, 160), "image_size": 36}
 

@@ -19,6 +19,8 @@ from two_view_pose.agents.training.sub_environments import (
 )
 from two_view_pose.agents.training.train_agent import train_agent
 
+pytestmark = pytest.mark.slow
+
 SMALL = {"objects": ("duck", "cat"), "estimator": None, "resolution": (120, 160), "image_size": 36}
 
 

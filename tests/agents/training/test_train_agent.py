@@ -28,6 +28,8 @@ from two_view_pose.agents.training.train_agent import (
     train_agent,
 )
 
+pytestmark = pytest.mark.slow
+
 Make = Callable[..., TrainAgentConfig]
 
 

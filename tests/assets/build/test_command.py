@@ -9,6 +9,7 @@ from two_view_pose import assets
 from two_view_pose.assets.build.command import BuildCommand
 
 
+@pytest.mark.slow
 def test_build_is_reproducible_and_is_what_ships(tmp_path: Path) -> None:
     for run in ("first", "second"):
         BuildCommand(out=tmp_path / run, only=["glue"]).run()

@@ -36,6 +36,7 @@ def test_sphere_meshes_to_a_sphere() -> None:
     np.testing.assert_allclose(mesh.area, 4 * np.pi * 0.1**2, rtol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("diameter", [0.098, 0.101])
 def test_fit_meets_extents_and_diameter(lopsided: solids.Solid, diameter: float) -> None:
     extents = np.array([0.08, 0.05, 0.07])
@@ -51,6 +52,7 @@ def test_fit_meets_extents_and_diameter(lopsided: solids.Solid, diameter: float)
     assert len(base) >= 4 and np.ptp(base[:, 2]) < 0.01 * extents[2]
 
 
+@pytest.mark.slow
 def test_same_solid_same_mesh(lopsided: solids.Solid) -> None:
     a, b = (mesh_solid(lopsided, (0.08, 0.05, 0.07), 0.1).mesh for _ in range(2))
     np.testing.assert_array_equal(a.vertices, b.vertices)
@@ -71,6 +73,7 @@ def test_pieces_and_tight_bounds_are_refused() -> None:
         mesh_solid(solids.Solid(large, white, UNIT_BOX, 0.1), (1, 1, 1), 1.0)
 
 
+@pytest.mark.slow
 def test_the_duck_stands_and_looks_like_one() -> None:
     """Size of LineMOD's duck, its weight over its base, yellow above all, the beak in front."""
     solid = animals.duck()

@@ -32,6 +32,7 @@ def ticks(pid):
         return int(file.read().rpartition(")")[2].split()[11])
 
 
+@pytest.mark.slow
 @has_proc
 def test_they_compute_and_end_with_the_block():
     with pytest.raises(RuntimeError, match="in between"), busy.busy_processes(2) as running:
@@ -44,6 +45,7 @@ def test_they_compute_and_end_with_the_block():
     assert gone(pids)
 
 
+@pytest.mark.slow
 @has_proc
 def test_they_end_with_a_parent_that_is_killed():
     code = (

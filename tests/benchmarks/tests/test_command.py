@@ -40,6 +40,7 @@ def test_what_is_missing_is_printed_and_the_rest_is_written(tmp_path, monkeypatc
     assert "| 2.75x | >= 3x | missed |" in (tmp_path / "f.md").read_text()
 
 
+@pytest.mark.slow
 def test_groups_run_in_processes_of_their_own_from_the_folder(tmp_path):
     path = tmp_path / "f.json"
     assert command.main(["--only", "import", "--repeats", "1", "--json", str(path)]) == 0

@@ -1,12 +1,14 @@
 """Cost against size: the measured scene, records and figure."""
 
 import numpy as np
+import pytest
 from benchmarks.groups import cost
 from PIL import Image
 from two_view_pose.core.results import check_record
 from two_view_pose.envs.simulation.renderer import SceneRenderer
 
 
+@pytest.mark.slow
 def test_number_of_bodies_in_view():
     scene = cost.crowded_scene(14)
     T_cam_world = cost.view_sphere_pose(np.zeros(3), 1.4, 0.0, np.deg2rad(50.0))
@@ -20,6 +22,7 @@ def test_number_of_bodies_in_view():
     assert (np.abs(sky[1] - sky[0]).sum(axis=2) > 30).mean() > 0.02
 
 
+@pytest.mark.slow
 def test_costs_are_records_and_a_figure(tmp_path):
     records = [
         *cost.render_costs((1, 2), repeats=1),

@@ -22,6 +22,8 @@ from two_view_pose.core.results import check_record
 from two_view_pose.envs.datagen.generate import GenerateConfig
 from two_view_pose.pose_estimator.bop.writer import scene_folder
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def refuse_import(monkeypatch):

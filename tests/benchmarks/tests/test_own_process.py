@@ -30,6 +30,7 @@ def test_closing_the_iterator_ends_the_process():
         os.kill(child, 0)
 
 
+@pytest.mark.slow
 def test_a_process_that_is_interrupted_ends_its_own():
     code = (
         "import signal, time; from benchmarks.own_process import each_from_own_process\n"

@@ -3,12 +3,14 @@
 import json
 import re
 
+import pytest
 import torch
 from two_view_pose.__main__ import main
 from two_view_pose.assets import OBJECT_NAMES
 from two_view_pose.envs.commands import doctor
 
 
+@pytest.mark.slow
 def test_doctor_reports_the_opengl_backend(tmp_path, capsys):
     assert main(["doctor", "--quick", "--json", str(tmp_path / "d.json")]) == 0
     assert "ok  OpenGL" in capsys.readouterr().out
@@ -16,6 +18,7 @@ def test_doctor_reports_the_opengl_backend(tmp_path, capsys):
     assert record["check"] == "OpenGL" and record["value"] == 1
 
 
+@pytest.mark.slow
 def test_doctor_reports_a_failed_check(monkeypatch, capsys):
     monkeypatch.setenv("MUJOCO_GL", "off")
     assert main(["doctor", "--quick"]) == 1
@@ -33,6 +36,7 @@ def test_doctor_says_what_networks_run_on(monkeypatch):
     assert found["threads"].startswith(f"{torch.get_num_threads()} by default; they ")
 
 
+@pytest.mark.slow
 def test_doctor_times_estimates():
     check = doctor.check_estimator("single")
     assert check.passed

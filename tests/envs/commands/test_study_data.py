@@ -30,6 +30,7 @@ def test_seeds_are_all_different_from_each_other_and_from_the_usual_ones() -> No
     assert not set(seeds) & {*TRAINING_SEEDS, GenerateConfig(Path("x")).seed}
 
 
+@pytest.mark.slow
 def test_no_texture_and_no_camera_occurs_in_two_sets(objects) -> None:
     scene = Scene(objects, SceneConfig(clutter_objects=(0, 0), plain_shapes=(0, 0)))
     model = scene.world.model
@@ -63,6 +64,7 @@ def test_occlusion_set_has_more_than_100_reference_views() -> None:
     assert views >= 120  # some objects cannot be seen in some
 
 
+@pytest.mark.slow
 def test_the_quick_set_is_rendered_once(tmp_path: Path) -> None:
     root = ensure_test_set("occlusion", tmp_path, quick=True, workers=1)
     assert root.parent == tmp_path

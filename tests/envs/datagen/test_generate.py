@@ -25,6 +25,8 @@ from two_view_pose.envs.simulation.trajectories.view_spread import spread_views,
 from two_view_pose.pose_estimator.bop import dataset as bop
 from two_view_pose.pose_estimator.bop.pairs import read_pairs
 
+pytestmark = pytest.mark.slow
+
 OBJECTS = ("ape", "duck", "eggbox")
 
 

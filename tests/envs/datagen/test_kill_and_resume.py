@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from helpers.kill_and_resume import kill_and_resume
+
+pytestmark = pytest.mark.slow
 
 
 def test_resumed_runs_write_the_same_bytes(tmp_path: Path) -> None:

@@ -18,6 +18,8 @@ from two_view_pose.envs.recording.record_bank import RecordBankConfig, record_ba
 from two_view_pose.envs.view_banks.bank import read_bank, write_arrays
 from two_view_pose.pose_estimator.bop.dataset import read_dataset
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def config(tmp_path_factory: pytest.TempPathFactory) -> RecordBankConfig:

@@ -171,6 +171,7 @@ def test_wrong_depth_is_refused():
         apply_depth_sensor(-np.ones((4, 4)), K, DepthSensorConfig(), np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_generated_depth_passes_the_sensor_and_nothing_else_changes(tmp_path):
     def make(name: str, **depth: bool) -> list[bop.BopImage]:
         config = GenerateConfig(

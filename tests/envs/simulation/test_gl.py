@@ -32,6 +32,7 @@ def test_without_opengl_the_error_says_what_to_install(monkeypatch: pytest.Monke
         gl.open_context(64, 64)
 
 
+@pytest.mark.slow
 def test_a_named_back_end_that_is_missing_is_named_in_the_error() -> None:
     program = (
         "import sys\n"
@@ -49,6 +50,7 @@ def test_a_named_back_end_that_is_missing_is_named_in_the_error() -> None:
     assert "apt-get install -y libosmesa6" in run.stderr
 
 
+@pytest.mark.slow
 def test_a_spawned_worker_renders_the_same_image() -> None:
     context = multiprocessing.get_context("spawn")
     queue = context.Queue()

@@ -24,6 +24,7 @@ def heap(objects: dict[str, ObjectModel]) -> Iterator[Scene]:
     scene.close()
 
 
+@pytest.mark.slow
 def test_all_objects_are_close_together_and_in_the_image(
     heap: Scene, objects: dict[str, ObjectModel]
 ) -> None:
@@ -58,6 +59,7 @@ def test_heap_scenes_are_stable_under_physics(heap: Scene) -> None:
             assert np.linalg.norm(moved) < 0.004, name
 
 
+@pytest.mark.slow
 def test_target_visibility_matches_lmo(heap: Scene) -> None:
     seen, elevations = [], []
     for seed in range(25):

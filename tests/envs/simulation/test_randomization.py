@@ -67,6 +67,7 @@ def test_printed_textures_have_their_own_colors(pattern: str) -> None:
     assert image.shape == (128, 128, 3) and image.std() > 20
 
 
+@pytest.mark.slow
 def test_strong_randomization_is_stronger_than_default(world: World) -> None:
     """Colors of the table beyond wood and gray, and light that whitens."""
 

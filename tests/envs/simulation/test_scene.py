@@ -34,6 +34,7 @@ def dense(objects: dict[str, ObjectModel]) -> Iterator[Scene]:
     scene.close()
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes(scene: Scene, objects: dict[str, ObjectModel]) -> None:
     twin = Scene(objects)
     twin.reset(np.random.default_rng(5), "cone")  # another past must not matter
@@ -67,6 +68,7 @@ def test_episodes_compile_nothing(scene: Scene, monkeypatch: pytest.MonkeyPatch)
     assert (images[0] != images[1]).mean() > 0.5  # yet everything looks different
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["scene", "dense"])
 def test_placed_objects_are_stable_under_physics(kind: str, request: pytest.FixtureRequest) -> None:
     scene: Scene = request.getfixturevalue(kind)
@@ -125,6 +127,7 @@ def test_linemod_targets_are_unoccluded(scene: Scene) -> None:
     assert min(visibility) > 0.5 and np.mean(np.array(visibility) > 0.9) > 0.7
 
 
+@pytest.mark.slow
 def test_occlusion_visibility_is_distributed_as_in_lmo(dense: Scene) -> None:
     resets = [
         dense.reset(np.random.default_rng(seed), dense.object_names[seed % 6]).visibility
@@ -138,6 +141,7 @@ def test_occlusion_visibility_is_distributed_as_in_lmo(dense: Scene) -> None:
     assert min(resets) < 0.35
 
 
+@pytest.mark.slow
 def test_the_stated_visibility_is_that_of_the_full_image(dense: Scene) -> None:
     renderer = SceneRenderer(dense)
     for seed in range(4):
@@ -217,6 +221,7 @@ def test_an_object_without_its_mesh_is_not_drawn_as_a_box(objects: dict[str, Obj
         Scene({"brick": unseen})
 
 
+@pytest.mark.slow
 def test_occlusion_targets_are_occluded_from_many_sides(
     objects: dict[str, ObjectModel],
 ) -> None:

@@ -54,6 +54,7 @@ def info_of(infos, i):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [0, 2])
 def test_every_sub_environment_is_a_single_environment(make_vector, make, workers):
     estimator = BatchedEstimator()
@@ -83,6 +84,7 @@ def test_every_sub_environment_is_a_single_environment(make_vector, make, worker
     assert sum(map(len, estimator.batches)) == ENVS * (1 + 2 * 2)
 
 
+@pytest.mark.slow
 def test_estimator_without_batches(make_vector):
     estimator = ConstantEstimator()
     vector = make_vector(TwoViewPoseDiscreteEnv, estimator=estimator, workers=0)
@@ -91,6 +93,7 @@ def test_estimator_without_batches(make_vector):
     assert [len(views) for views, _ in estimator.calls] == [1] * 3 + [2] * 3 + [1] * 3
 
 
+@pytest.mark.slow
 def test_images_of_an_episode_stay_while_the_next_begins(make_vector):
     vector = make_vector(workers=1, estimator=TableEstimator())
     vector.reset(seed=0)
@@ -101,6 +104,7 @@ def test_images_of_an_episode_stay_while_the_next_begins(make_vector):
         np.testing.assert_array_equal(image, copy)
 
 
+@pytest.mark.slow
 def test_a_wrong_action_moves_no_camera(make_vector):
     vector = make_vector(workers=1)
     vector.reset(seed=0)
@@ -112,6 +116,7 @@ def test_a_wrong_action_moves_no_camera(make_vector):
     assert vector.step(actions)[2].all()
 
 
+@pytest.mark.slow
 def test_reset_after_an_estimator_failed(make_vector, objects):
     class Fails(TableEstimator):
         broken = False
@@ -132,6 +137,7 @@ def test_reset_after_an_estimator_failed(make_vector, objects):
     check_equal(again, expected)
 
 
+@pytest.mark.slow
 def test_killed_worker(make_vector):
     vector = make_vector(workers=1)
     vector.reset(seed=0)
@@ -150,6 +156,7 @@ def test_unknown_reset_options(make_vector):
         vector.reset(options={"weather": "rain"})
 
 
+@pytest.mark.slow
 def test_errors_of_a_remote_simulator_are_raised_here(objects):
     workers = SimulatorWorkers(1)
     simulator = workers.add(objects, SceneConfig(), Randomization(), (36, 48))
@@ -187,6 +194,7 @@ def test_one_seed_for_each_sub_environment(make_vector):
         vector.reset(seed=[1, 2])
 
 
+@pytest.mark.slow
 def test_call_and_get_attr(make_vector):
     vector = make_vector(workers=0, render_mode="rgb_array", travel_weight=0.5)
     vector.reset(seed=0)
@@ -204,6 +212,7 @@ def test_square_images_are_a_center_crop(make):
     assert env.render().ndim == 3
 
 
+@pytest.mark.slow
 def test_make_vec(objects):
     env = gym.make_vec(
         "TwoViewPoseDiscrete-v0",
@@ -231,6 +240,7 @@ envs.close()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scene", "works"), [("SceneConfig()", True), ("OwnConfig()", False)])
 def test_script_without_a_main_guard(scene, works, tmp_path):
     """Workers do not rerun the script, unless it defines a class of an argument: an error."""

@@ -27,6 +27,8 @@ from helpers.damages import DAMAGES
 from helpers.solid_scenes import write_dataset
 from two_view_pose.__main__ import main
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def valid(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -16,6 +16,8 @@ from two_view_pose.pose_estimator.fusion.two_view import TwoViewEstimator
 from two_view_pose.pose_estimator.methods import METHOD_TABLE
 from two_view_pose.pose_estimator.networks.container import PoseNetworks
 
+pytestmark = pytest.mark.slow
+
 # ADD(-S) in diameters with perfect votes: a voxel of ``mid`` is 0.08 diameters wide, and ``early``
 # takes hidden keypoints for those on the surface before them.
 ERRORS = {"early": 0.06, "late": 1e-4, "mid": 0.04}

@@ -85,6 +85,7 @@ def test_first_range_contains_the_object(net: CascadeNet, diameter, half):
         assert float(run(net, views(), diameter)[0].half_range[0]) == pytest.approx(half)
 
 
+@pytest.mark.slow
 def test_geometry_stays_float32_under_autocast(uniform: CascadeNet):
     # In bfloat16, 0.9137 would be 0.914 and 3.5 mm nothing.
     with torch.no_grad(), torch.autocast("cpu", torch.bfloat16):

@@ -15,6 +15,8 @@ from two_view_pose.pose_estimator.networks import inference as inference_module
 from two_view_pose.pose_estimator.networks.container import PoseNetworks
 from two_view_pose.pose_estimator.types import Roi, roi_of_pose
 
+pytestmark = pytest.mark.slow
+
 
 class InThisThread:
     """Stands in for a pool of threads: the default device is each thread's own."""

@@ -115,6 +115,7 @@ def net_that_trusts_votes() -> VolumeNet:
     return net.eval()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("deviation", [0.05, 0.3, 0.6])
 @pytest.mark.parametrize("bfloat16", [False, True])
 def test_exact_votes_are_triangulated_to_a_fraction_of_a_voxel(deviation, bfloat16):

@@ -50,6 +50,7 @@ def test_crops_are_centered_on_the_object_in_both_views(example):
         assert crop[CROP // 2, CROP // 2, 0] > 150
 
 
+@pytest.mark.slow
 def test_an_example_is_drawn_for_every_method(example, tmp_path):
     path = draw_example(example, tmp_path / "figures" / "example_1.png")
     image = np.asarray(Image.open(path).convert("RGB")).astype(int)
@@ -66,6 +67,7 @@ def test_keypoints_behind_the_camera_are_drawn(example, tmp_path):
     assert draw_example(odd, tmp_path / "a.png").is_file()
 
 
+@pytest.mark.slow
 def test_activations_of_mid_fusion(example, networks, tmp_path):
     estimator = MidFusionEstimator(networks)
     with capture_forward(networks.volume) as calls:
@@ -100,6 +102,7 @@ def records() -> list[dict]:
     return recall + noise
 
 
+@pytest.mark.slow
 def test_charts_are_drawn_from_records_alone(tmp_path):
     made = draw_charts(records(), tmp_path / "a")
     assert set(made) == {"recall_linemod", "noise"}

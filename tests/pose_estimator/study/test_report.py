@@ -151,6 +151,7 @@ def test_links_lead_to_existing_sections(text):
     assert "Images" not in dict(links).values()
 
 
+@pytest.mark.slow
 def test_images_are_embedded_in_order(records, tmp_path):
     write_results(tmp_path / "results.json", records, command="compare", seed=0)
     (tmp_path / "figures").mkdir()

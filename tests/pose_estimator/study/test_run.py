@@ -41,6 +41,7 @@ def oracles(tests, boxes, networks, monkeypatch) -> dict[str, Oracle]:
     return made
 
 
+@pytest.mark.slow
 def test_from_options_to_the_page(tests, oracles, tmp_path, monkeypatch):
     config = CompareConfig(out=tmp_path, quick=True, seed=4).reduced()
     records = Study(config, tests).run()

@@ -75,6 +75,7 @@ def test_depth_loss_by_hand():
     assert float(depth_loss(output, truth, planes=9)) == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_only_the_cascade_is_trained_and_a_step_lowers_the_loss(stage: CascadeStage):
     batch = next(stage.batches(0))
     before = {n: t.clone() for n, t in stage.module.state_dict().items()}

@@ -25,7 +25,7 @@ NUMBERS = {"bracket": 2, "stairs": 19}
 """What the dataset calls two of the solids; 2 is also our benchvise."""
 
 
-pytestmark = pytest.mark.usefixtures("tiny_training")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("tiny_training")]
 
 
 def image(rng: np.random.Generator, azimuth: float, turn: float) -> BopFrame:

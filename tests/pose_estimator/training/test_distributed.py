@@ -34,6 +34,8 @@ from two_view_pose.pose_estimator.training.distributed import (
     world_size,
 )
 
+pytestmark = pytest.mark.slow
+
 HELPERS = Path(__file__).parents[2] / "helpers"
 
 

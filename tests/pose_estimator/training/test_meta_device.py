@@ -86,6 +86,7 @@ def prepare_stage(pack: CropPack, boxes, monkeypatch):
     return prepare
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STAGES)
 def test_stages_create_tensors_on_the_device_of_the_networks(prepare_stage, name: str):
     make = prepare_stage(name, "cpu")

@@ -28,6 +28,8 @@ from two_view_pose.pose_estimator.training.volume_stage import VolumeStage
 from two_view_pose.pose_estimator.training_data.crops import CropPack
 from two_view_pose.pose_estimator.training_data.dataset import TrainingSet
 
+pytestmark = pytest.mark.slow
+
 
 def test_unknown_stages_are_an_error(tmp_path: Path):
     with pytest.raises(ValueError, match=r"unknown stages \['magic'\]; there are detector"):

@@ -106,6 +106,7 @@ def test_pose_noise_and_cut_and_paste_options_reach_the_stage(
     assert len(pasted) == 1
 
 
+@pytest.mark.slow
 def test_a_new_volume_keeps_the_other_parts(
     dataset: Path, pack: CropPack, boxes, tmp_path: Path, monkeypatch
 ):

@@ -128,6 +128,7 @@ def test_a_dataset_with_other_scenes_is_packed_again(dataset, boxes, tmp_path):
     assert sum(found) == 1
 
 
+@pytest.mark.slow
 def test_several_processes_pack_like_one(dataset, boxes, tmp_path):
     scenes = tmp_path / "many" / "train_pbr"
     for number in range(9):
