@@ -22,8 +22,6 @@ from two_view_pose.envs.simulation.renderer import SceneRenderer
 from two_view_pose.envs.simulation.scene import Scene, SceneConfig, SceneState
 from two_view_pose.envs.simulation.world import TABLE_HALF
 
-pytestmark = pytest.mark.slow
-
 ALONE = SceneConfig(clutter_objects=(0, 0), plain_shapes=(0, 0))
 
 
