@@ -14,6 +14,7 @@ def test_a_seed_is_a_picture(draw, size):
     assert np.array_equal(first, again) and not np.array_equal(first, other)
 
 
+@pytest.mark.slow
 def test_collages_differ_in_color_and_are_full_of_edges():
     pictures = [draw_collage(np.random.default_rng(s), 192) for s in range(30)]
     means = np.array([p.reshape(-1, 3).mean(0) for p in pictures])

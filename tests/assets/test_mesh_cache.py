@@ -49,6 +49,7 @@ def assert_identical(first: ObjectModel, second: ObjectModel) -> None:
             assert a == b, field.name
 
 
+@pytest.mark.slow
 def test_cached_object_is_bit_exact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_egg(tmp_path / "egg.ply")
     imported = import_again(path)
@@ -100,6 +101,7 @@ def test_corrupted_entries_are_replaced(tmp_path: Path, cache_home: Path, garbag
     assert entries(cache_home) == [entry]  # and nothing lies beside it
 
 
+@pytest.mark.slow
 def test_a_cache_that_cannot_be_written_is_skipped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

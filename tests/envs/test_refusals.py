@@ -95,6 +95,7 @@ def test_estimator_returns_an_invalid_pose(make):
         env.reset(seed=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -119,6 +120,7 @@ def test_bad_options(make, options, message):
         make().reset(options=options)
 
 
+@pytest.mark.slow
 def test_bad_options_draw_nothing(make):
     refused, untouched = make(), make()
     for env in (refused, untouched):

@@ -71,6 +71,7 @@ def test_an_episode_is_replayed_from_its_info(make, with_object):
     assert same(first[0], env.step(np.zeros(3))[0])
 
 
+@pytest.mark.slow
 def test_observations_are_fresh_and_in_the_space(make):
     env = make(estimator=ConstantEstimator(pose((0, 0, 0), (5.0, -7.0, 40.0)), sigma=1e6))
     seen = [env.reset(seed=0)[0], env.step(np.ones(3))[0], env.reset()[0]]
@@ -88,6 +89,7 @@ def test_nan_covariance_is_maximum_uncertainty(make):
     np.testing.assert_array_equal(env.reset(seed=0)[0]["uncertainty"], 2)
 
 
+@pytest.mark.slow
 def test_observation_follows_the_estimate_and_nothing_else(make):
     estimator = ConstantEstimator(sigma=0.02, score=0.75)
     env = make(estimator=estimator)
@@ -100,6 +102,7 @@ def test_observation_follows_the_estimate_and_nothing_else(make):
             np.testing.assert_allclose(observation["score"], 0.75)
 
 
+@pytest.mark.slow
 def test_object_one_hot_and_order(make, objects):
     env = make()
     assert env.object_names == tuple(objects)
@@ -259,6 +262,7 @@ def test_simulated_actions_are_steps(make, batched):
             assert [reward, *ends] == list(other[1:4])
 
 
+@pytest.mark.slow
 def test_candidate_views(make):
     env = make(TwoViewPoseDiscreteEnv, estimator=TableEstimator())
     assert env.action_space == gym.spaces.Discrete(24) and len(CANDIDATE_VIEWS) == 24
@@ -276,6 +280,7 @@ def test_candidate_views(make):
     assert make(TwoViewPoseDiscreteEnv, candidate_views=[(30, 45)]).action_space.n == 1
 
 
+@pytest.mark.slow
 def test_reference_camera_as_a_matrix(make):
     env = make()
     _, info = env.reset(seed=0)

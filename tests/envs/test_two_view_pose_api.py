@@ -115,6 +115,7 @@ def test_frame(small):
     assert changed[middle + 20 :].any() and not changed[: middle - 20].any()
 
 
+@pytest.mark.slow
 def test_frame_without_an_estimator(small):
     env = gym.make("TwoViewPose-v0", render_mode="rgb_array", **{**small, "estimator": None})
     env.reset(seed=0)

@@ -22,6 +22,8 @@ from two_view_pose.agents.training.config import EvaluateAgentConfig, TrainAgent
 from two_view_pose.agents.training.train_agent import train_agent
 from two_view_pose.core.results import check_record, read_results
 
+pytestmark = pytest.mark.slow
+
 SPHERE = "helpers.toy_env:ToySphere-v0"
 RULES = ("random", "fixed", "max-baseline")
 
@@ -86,7 +88,6 @@ def test_results_file_and_table(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert evaluate_agents(config) == records
 
 
-@pytest.mark.slow
 def test_trained_policy_with_baselines(
     config: Callable[..., TrainAgentConfig], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -14,6 +14,7 @@ RULES = ("random", "fixed", "above", "max-baseline")
 ENVS = ("helpers.toy_env:ToySphere-v0", "helpers.toy_env:ToySphereDiscrete-v0")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("env_id", "name"), [*product(ENVS, RULES)])
 def test_actions_are_valid(env_id: str, name: str) -> None:
     env = gym.make(env_id)

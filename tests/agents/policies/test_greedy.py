@@ -29,6 +29,8 @@ from two_view_pose.core.geometry import project, transform
 from two_view_pose.envs.simulation.carrier import camera_center
 from two_view_pose.envs.view_banks.bank import ViewBank, write_bank
 
+pytestmark = pytest.mark.slow
+
 Make = Callable[..., ViewBank]
 QUICK = GreedyHyperparameters(epochs=60, networks=1, dropout=0.0, width=6, features_dim=32)
 REPLAY = "two_view_pose:TwoViewPoseReplay-v0"

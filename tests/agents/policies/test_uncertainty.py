@@ -58,6 +58,7 @@ def test_uncertain_depth_gives_wide_baseline(
         assert angle > np.quantile(angles, 0.7)
 
 
+@pytest.mark.slow
 def test_uncertainty_needs_an_estimator() -> None:
     env = gym.make(
         "two_view_pose:TwoViewPose-v0", objects=["duck"], estimator=None, resolution=(120, 160)

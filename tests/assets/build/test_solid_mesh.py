@@ -27,6 +27,7 @@ def lopsided() -> solids.Solid:
     return solids.Solid(shape, white, UNIT_BOX, edge_length=0.06, faces=800)
 
 
+@pytest.mark.slow
 def test_sphere_meshes_to_a_sphere() -> None:
     ball = solids.Solid(solids.sphere((0, 0, 0), 1.0), white, UNIT_BOX, 0.08, faces=2000)
     mesh = mesh_solid(ball, (0.2, 0.2, 0.2), 0.2).mesh

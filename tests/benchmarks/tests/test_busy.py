@@ -71,6 +71,7 @@ def test_the_ratio_is_alone_against_busy(monkeypatch):
     assert len(calls) == 2 + busy.WARM_UP + 2
 
 
+@pytest.mark.slow
 def test_a_training_step_changes_the_network():
     step = busy.training_step()
     cells = [cell.cell_contents for cell in step.__closure__]

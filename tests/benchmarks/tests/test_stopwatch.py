@@ -2,6 +2,7 @@
 
 import time
 
+import pytest
 from benchmarks import stopwatch
 from two_view_pose.core.results import check_record
 
@@ -21,6 +22,7 @@ def test_calls_take_turns_and_the_first_do_not_count():
     assert [len(t) for t in times] == [3, 3]
 
 
+@pytest.mark.slow
 def test_what_prepares_our_side_is_not_timed():
     record = stopwatch.ratio(
         "ours",

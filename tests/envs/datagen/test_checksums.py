@@ -13,6 +13,8 @@ from two_view_pose.__main__ import main
 from two_view_pose.envs.datagen.checksums import find_problems, read_sums
 from two_view_pose.envs.datagen.generate import GenerateConfig, generate
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> GenerateConfig:

@@ -14,6 +14,8 @@ from two_view_pose.assets import load_object
 from two_view_pose.envs.datagen.generate import GenerateConfig, generate
 from two_view_pose.pose_estimator.bop import dataset as bop
 
+pytestmark = pytest.mark.slow
+
 NAMES = {1: "ape", 9: "duck", 10: "eggbox"}
 
 

@@ -12,6 +12,8 @@ from two_view_pose.envs.datagen.generate import GenerateConfig, generate
 from two_view_pose.envs.datagen.scene_plan import plan_scene, reference_frames
 from two_view_pose.pose_estimator.bop import dataset as bop
 
+pytestmark = pytest.mark.slow
+
 OBJECTS = ("ape", "duck", "glue")
 
 
@@ -103,7 +105,6 @@ def test_every_object_of_a_heap_that_can_be_seen_is_a_target(heaps: GenerateConf
             assert pair.baseline_deg == pair.baselines_deg[pair.target_obj_id]
 
 
-@pytest.mark.slow
 def test_same_seed_same_bytes_whatever_came_before(config, images, tmp_path) -> None:
     again = replace(config, out=tmp_path / "set", scenes=1)
     generate(again)
@@ -115,7 +116,6 @@ def test_same_seed_same_bytes_whatever_came_before(config, images, tmp_path) -> 
     assert file_bytes(other.out / config.split) != first
 
 
-@pytest.mark.slow
 def test_mixed_sampling_keeps_the_sphere_scenes(config, tmp_path) -> None:
     mixed = replace(config, out=tmp_path / "mixed", scenes=4, views=2, sampling="mixed", gaps=(2,))
     generate(mixed)

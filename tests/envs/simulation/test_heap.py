@@ -13,6 +13,8 @@ from two_view_pose.envs.simulation.camera import view_sphere_pose
 from two_view_pose.envs.simulation.randomization import Randomization
 from two_view_pose.envs.simulation.scene import Scene, SceneConfig
 
+pytestmark = pytest.mark.slow
+
 LMO_REAL = {0.1: 0.38, 0.25: 0.64, 0.5: 0.90, 0.75: 0.97}
 """Quantiles of visib_fract in 40 frames of LM-O, of the 293 targets that have at least 0.1."""
 
@@ -24,7 +26,6 @@ def heap(objects: dict[str, ObjectModel]) -> Iterator[Scene]:
     scene.close()
 
 
-@pytest.mark.slow
 def test_all_objects_are_close_together_and_in_the_image(
     heap: Scene, objects: dict[str, ObjectModel]
 ) -> None:
@@ -59,7 +60,6 @@ def test_heap_scenes_are_stable_under_physics(heap: Scene) -> None:
             assert np.linalg.norm(moved) < 0.004, name
 
 
-@pytest.mark.slow
 def test_target_visibility_matches_lmo(heap: Scene) -> None:
     seen, elevations = [], []
     for seed in range(25):

@@ -69,6 +69,7 @@ def test_separated_measures_the_gap_between_parallel_sides() -> None:
     assert not separated(SQUARE, SQUARE + np.array([0.102, 0.02]), gap=0.003)
 
 
+@pytest.mark.slow
 def test_packing_has_no_collisions() -> None:
     rng = np.random.default_rng(1)
     placed: list[PlacedObject] = []

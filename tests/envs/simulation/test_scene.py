@@ -104,6 +104,7 @@ def test_poses_are_exact_in_spite_of_mujocos_inertia_frames(scene: Scene) -> Non
         assert distances.min(axis=0).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_linemod_targets_are_unoccluded(scene: Scene) -> None:
     visibility = []
     for seed in range(15):
@@ -151,6 +152,7 @@ def test_the_stated_visibility_is_that_of_the_full_image(dense: Scene) -> None:
         assert renderer.render(state.T_cam_world).object_names == tuple(state.T_world_obj)
 
 
+@pytest.mark.slow
 def test_a_given_camera_is_kept(scene: Scene, dense: Scene) -> None:
     T = view_sphere_pose(np.array([0.0, 0.0, 0.05]), 0.9, 0.4, 0.5)
     for which in (scene, dense):

@@ -76,6 +76,7 @@ def test_errors_name_file_and_object(root, tmp_path):
         dataset_objects(root)
 
 
+@pytest.mark.slow
 def test_bop_mesh_has_id_symmetries_and_diameter_of_models_info(tmp_path: Path) -> None:
     folder = tmp_path / "models"
     folder.mkdir()

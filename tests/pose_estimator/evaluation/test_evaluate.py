@@ -114,6 +114,7 @@ def test_poses_of_the_reference_views_are_written_once_each(
         assert result.score == 1.0 and result.seconds > 0
 
 
+@pytest.mark.slow
 def test_a_dataset_without_pairs_is_paired_by_its_poses(dataset, loaded, tmp_path, capsys):
     for name in ("train_pbr", "models"):
         (tmp_path / name).symlink_to(dataset / name)

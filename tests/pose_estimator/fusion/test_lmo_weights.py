@@ -39,6 +39,7 @@ def test_the_objects_are_the_eight_of_lmo():
         assert model.diameter == pytest.approx(ours.diameter, rel=0.01)
 
 
+@pytest.mark.slow
 def test_noise_images_give_a_valid_pose():
     estimator = pose_estimator.load("mid", "lmo")
     rng = np.random.default_rng(0)

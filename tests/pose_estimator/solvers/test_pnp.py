@@ -93,6 +93,7 @@ def test_robust_to_gross_outliers():
     assert np.median(robust) < 0.01 < np.median(plain)
 
 
+@pytest.mark.slow
 def test_covariance_matches_monte_carlo():
     rng = np.random.default_rng(5)
     T = some_pose(rng)

@@ -53,6 +53,7 @@ def test_errors_of_a_shifted_pose(study_set, boxes, tmp_path):
     assert brick.distances == pytest.approx([0.012] * 9, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_resumes(study_set, boxes, tmp_path):
     class Stopped(Oracle):
         def estimate(self, views, object_name):
@@ -80,6 +81,7 @@ def test_single_view_methods_run_once_per_reference(study_set, boxes, tmp_path):
     assert all(o.solver_errors == {} for o in outcomes)
 
 
+@pytest.mark.slow
 def test_only_rgbd_is_given_depth(study_set, boxes, tmp_path, monkeypatch):
     depth = np.ones((480, 640), np.float32)
     monkeypatch.setattr(

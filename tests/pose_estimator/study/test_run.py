@@ -74,6 +74,7 @@ def test_from_options_to_the_page(tests, oracles, tmp_path, monkeypatch):
     assert kept == [r for r in records if r["metric"] == "add_s_recall"]
 
 
+@pytest.mark.slow
 def test_outcomes_of_other_networks_are_reported_before_anything_is_measured(
     tests, oracles, networks, tmp_path, monkeypatch
 ):
@@ -87,6 +88,7 @@ def test_outcomes_of_other_networks_are_reported_before_anything_is_measured(
     assert len(oracles["single"].asked) == before
 
 
+@pytest.mark.slow
 def test_a_digest_is_of_the_networks_that_a_method_uses(networks):
     def digests() -> dict[str, str]:
         return {method: networks_digest(networks, method) for method in METHODS}

@@ -107,6 +107,7 @@ def test_a_dataset_without_depth_is_rejected(pack: CropPack, boxes, networks: Po
         stage.batches(0)
 
 
+@pytest.mark.slow
 def test_points_overfit_to_a_few_poses(make_stage):
     stage = make_stage(2)
     batch = exact(stage.train.samples)

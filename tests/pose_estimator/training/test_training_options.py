@@ -40,6 +40,7 @@ def quick(monkeypatch, boxes) -> None:
     monkeypatch.setattr(training_config, "PAPER_VOLUME", one)
 
 
+@pytest.mark.slow
 def test_a_paper_volume_is_trained_on_trained_features(
     dataset: Path, pack: CropPack, boxes, finished: Path, tmp_path: Path, monkeypatch, capsys
 ):

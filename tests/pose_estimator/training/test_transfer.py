@@ -128,6 +128,7 @@ def test_networks_of_another_shape_are_rejected(three, boxes):
         transfer_weights(three, PoseNetworks(boxes, config))
 
 
+@pytest.mark.slow
 def test_new_objects_must_be_trained(three, boxes, tmp_path: Path, capsys):
     weights = tmp_path / "three.safetensors"
     save_weights(three, weights, {"what": "test"})
@@ -148,6 +149,7 @@ def test_new_objects_must_be_trained(three, boxes, tmp_path: Path, capsys):
     assert "loaded: detector, features, volume" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_decoders_need_features_to_build_on(three, boxes, tmp_path: Path):
     three.trained = frozenset({"detector"})
     try:

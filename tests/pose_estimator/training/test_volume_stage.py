@@ -45,6 +45,7 @@ def pose_part(stage: VolumeStage, pairs: Batch) -> torch.Tensor:
     )
 
 
+@pytest.mark.slow
 def test_the_pose_loss_trains_the_features(stage, pairs):
     stage.networks.volume.train()
     lifted: list[torch.Tensor] = []
