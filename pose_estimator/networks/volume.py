@@ -67,6 +67,8 @@ class VolumeConfig:
         hidden: channels of the 3D network.
         evidence: whether the views' votes are lifted too.
         coarse_pose: whether the coarse volume's pose is part of the training's loss.
+        predicted_first: whether the loss of the distributions is D(predicted || true), not
+            D(true || predicted).
     """
 
     coarse: LevelConfig = LevelConfig(cells=14, half_size=1.0)
@@ -74,6 +76,7 @@ class VolumeConfig:
     hidden: int = 32
     evidence: bool = True
     coarse_pose: bool = False
+    predicted_first: bool = False
 
 
 PRESETS = {
@@ -83,10 +86,12 @@ PRESETS = {
         fine=LevelConfig(cells=None, half_size=0.65, cell_size=0.005),
         evidence=False,
         coarse_pose=True,
+        predicted_first=True,
     ),
 }
 """``paper`` is the paper's: +-0.3 m in voxels of 0.01 m, then the object in voxels of 0.005 m, from
-features alone, and both levels' poses in the loss. ``fast`` is the default."""
+features alone, both levels' poses in the loss, and the KL divergence in its direction. ``fast`` is
+the default."""
 
 
 class ViewMaps(NamedTuple):

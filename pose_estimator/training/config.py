@@ -95,6 +95,14 @@ class TrainEstimatorConfig:
     tune_encoder: bool = False
     """Train the encoder in the stage decoders too. A step takes twice as long; errors are smaller
     where images are hard for the encoder, as with `--augmentation strong`."""
+    frozen_stages: int = 2
+    """First stages of the encoders that keep their initial weights, with the stem and all depthwise
+    filters, whose gradients are slow on a CPU. 0 = train the whole encoders: for a GPU."""
+    tune_features: bool = False
+    """Train the 2D features along with the volume, end to end: the sum of both losses."""
+    batch_scale: int = 1
+    """Multiplies every stage's batch: 4 or 8 on a GPU, which small batches do not fill. Divide the
+    steps by it to see as many samples."""
     learning_rate: float = 1.0
     """Multiplies every stage's learning rate."""
     lr_cycles: int = 1
@@ -158,8 +166,8 @@ class TrainEstimatorConfig:
         steps = [
             name for name in map(_steps_option, STAGE_DEFAULTS) if getattr(self, name) is not None
         ]
-        require_within(self, 1, math.inf, "lr_cycles", *steps)
-        require_within(self, 0, math.inf, "pose_loss", "max_minutes")
+        require_within(self, 1, math.inf, "lr_cycles", "batch_scale", *steps)
+        require_within(self, 0, math.inf, "pose_loss", "max_minutes", "frozen_stages")
         require_within(self, 0, 1, "cut_and_paste")
         if self.workers is not None:
             require_within(self, 0, math.inf, "workers")
@@ -188,4 +196,9 @@ class TrainEstimatorConfig:
         elif steps is None and self.init is not None:
             steps = _STEPS_WITH_INIT.get(name)
         rate = settings.learning_rate * self.learning_rate
-        return replace(settings, steps=steps or settings.steps, learning_rate=rate)
+        return replace(
+            settings,
+            steps=steps or settings.steps,
+            batch=self.batch_scale * settings.batch,
+            learning_rate=rate,
+        )

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import torch
 from torch import Tensor
 from torch.nn import functional as F
+
+if TYPE_CHECKING:
+    from ..networks.features import Features2D
 
 
 def heat_map_loss(logits: Tensor, heat: Tensor) -> Tensor:
@@ -42,20 +47,43 @@ def direction_loss(directions: Tensor, target: Tensor, mask: Tensor) -> Tensor:
     return (weighted.sum((1, 2)) / mask.sum((1, 2)).clamp(min=8)).mean()
 
 
+def features_loss(
+    out: Features2D, mask: Tensor, directions: Tensor
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Loss of mask and vector field, and its terms.
+
+    Args:
+        out: of B crops.
+        mask: (B, G, G) covered fraction of each cell by the visible object.
+        directions: (B, 9, 2, G, G) target unit vectors.
+    """
+    mask_loss = F.binary_cross_entropy_with_logits(out.mask_logits.float(), mask)
+    direction = direction_loss(out.directions.float(), directions, (mask > 0.4).float())
+    return mask_loss + 2 * direction, {"mask": mask_loss, "direction": direction}
+
+
 def distribution_loss(
-    log_probability: Tensor, cells: Tensor, keypoints: Tensor, sigma: Tensor
+    log_probability: Tensor,
+    cells: Tensor,
+    keypoints: Tensor,
+    sigma: Tensor,
+    *,
+    predicted_first: bool = False,
 ) -> Tensor:
-    """KL divergence from Gaussians at the true keypoints to the predicted distributions.
+    """KL divergence between predicted distributions Q_v and Gaussians Q_k at the true keypoints.
 
     Args:
         log_probability: (B, 9, V) predicted, normalized over V voxels.
         cells: (B, V, 3) voxel centers, m.
         keypoints: (B, 9, 3) true keypoints, m.
         sigma: (B,) standard deviation of the target, m.
+        predicted_first: D(Q_v || Q_k), as the paper has it, instead of D(Q_k || Q_v), which has
+            gradients wherever the truth is.
     """
     distance = torch.cdist(keypoints, cells)
     target = torch.log_softmax(-0.5 * (distance / sigma[:, None, None]) ** 2, -1)
-    return (target.exp() * (target - log_probability)).sum(-1).mean()
+    first, second = (log_probability, target) if predicted_first else (target, log_probability)
+    return (first.exp() * (first - second)).sum(-1).mean()
 
 
 def keypoint_loss(predicted: Tensor, keypoints: Tensor, scale: Tensor) -> Tensor:

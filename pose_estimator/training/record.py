@@ -82,6 +82,7 @@ def header(
             "cut_and_paste": config.cut_and_paste,
             "augmentation": config.augmentation,
             "tune_encoder": config.tune_encoder,
+            "frozen_stages": config.frozen_stages,
             "cycles": config.lr_cycles,
             "encoder": "EfficientNet-Lite0, ImageNet (Apache-2.0)" if config.pretrained else "none",
         },
@@ -94,6 +95,7 @@ def header(
         content["training"] |= {
             "pose_noise": {"degrees": degrees, "millimeters": millimeters},
             "pose_loss": config.pose_loss,
+            "tune_features": config.tune_features,
         }
     if config.init is not None:
         first = read_header(find_weights(config.init))

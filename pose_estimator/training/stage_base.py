@@ -70,7 +70,7 @@ class StageBase(ABC):
     def sample_function(self, source: TrainingSet) -> SampleFunction:
         """Returns what draws a sample from a training set; picklable, for the workers."""
 
-    def shared_function(self) -> Callable[[np.random.Generator], int] | None:
+    def shared_function(self) -> Callable[[np.random.Generator], Any] | None:
         """Returns what draws the value that the samples of a batch share, if any."""
         return None
 

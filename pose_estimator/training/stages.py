@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
 from ...core.geometry import project, transform
 from ..networks.detector import DetectorConfig, decode
@@ -17,8 +16,11 @@ from ..networks.voting import vote
 from ..training_data.dataset import TrainingSet
 from ..training_data.target_sample import as_input, target_arrays
 from .loader import Batch, Sample, SampleFunction
-from .losses import box_loss, direction_loss, heat_map_loss
+from .losses import box_loss, features_loss, heat_map_loss
 from .stage_base import StageBase
+
+_CROPS_PER_OBJECT = 32
+"""Crops of one object that a batch of the decoders shows."""
 
 
 class DetectorStage(StageBase):
@@ -75,11 +77,7 @@ class CropStage(StageBase):
         self.module.train()
         with self.autocast():
             out = self.module(as_input(batch["crop"]), batch["object"])
-        mask = F.binary_cross_entropy_with_logits(out.mask_logits.float(), batch["mask"])
-        direction = direction_loss(
-            out.directions.float(), batch["directions"], (batch["mask"] > 0.4).float()
-        )
-        return mask + 2 * direction, {"mask": mask, "direction": direction}
+        return features_loss(out, batch["mask"], batch["directions"])
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
@@ -124,6 +122,9 @@ class FeatureStage(CropStage):
 class DecoderStage(CropStage):
     """One decoder per object, each trained on crops of its object.
 
+    A batch shows one object, a larger one several, so that each decoder's batch norms see enough
+    crops.
+
     Args:
         args: of :class:`StageBase`.
         tune_encoder: train the encoder and the object embedding too instead of freezing them.
@@ -141,9 +142,8 @@ class DecoderStage(CropStage):
         for part in (features.encoder, features.embedding, features.film16, features.film4):
             part.requires_grad_(False)
 
-    def shared_function(self) -> Callable[[np.random.Generator], int]:
-        """A batch shows one object, since the decoders' batch norms must not see others."""
-        return self.train.draw_object
+    def shared_function(self) -> Callable[[np.random.Generator], Sequence[int]]:
+        return partial(draw_objects, self.train, max(1, self.batch // _CROPS_PER_OBJECT))
 
 
 def draw_frame(source: TrainingSet, config: DetectorConfig, rng: np.random.Generator) -> Sample:
@@ -152,6 +152,16 @@ def draw_frame(source: TrainingSet, config: DetectorConfig, rng: np.random.Gener
     return dict(zip(names, source.draw_frame(rng, config), strict=True))
 
 
-def draw_crop(source: TrainingSet, rng: np.random.Generator, index: int | None = None) -> Sample:
-    """Draws a crop of an object; without ``index`` each object is equally likely."""
+def draw_objects(source: TrainingSet, count: int, rng: np.random.Generator) -> Sequence[int]:
+    """Draws up to ``count`` different objects of a training set."""
+    if count == 1:
+        return [source.draw_object(rng)]
+    return rng.permutation(source.known)[:count].tolist()
+
+
+def draw_crop(source: TrainingSet, rng: np.random.Generator, objects: Sequence[int] = ()) -> Sample:
+    """Draws a crop of one of some objects, of all by default; each is equally likely."""
+    index = None
+    if objects:
+        index = objects[0] if len(objects) == 1 else int(rng.choice(objects))
     return target_arrays(source.draw_target(rng, index, with_depth=False))

@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from ..training_data.dataset import TrainingSet
     from .stage_base import StageBase
 
-_FROZEN_ENCODER_STAGES = 2
-"""Frozen stages of pretrained encoders; more of them train faster and learn less."""
-
 
 def train_estimator(config: TrainEstimatorConfig) -> Path:
     """Trains and returns the path of the weights file.
@@ -55,7 +52,6 @@ def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) 
     if config.threads or world_size() > 1:
         torch.set_num_threads(config.threads or threads_per_rank())
     disable_malloc_trim()
-    torch.backends.cudnn.benchmark = True  # shapes are constant
     torch.manual_seed(config.seed)
     networks = start_networks(config).to(device)
     steps = {name: config.stage(name, len(networks.objects)).steps for name in STAGE_DEFAULTS}
@@ -133,9 +129,9 @@ def start_networks(config: TrainEstimatorConfig) -> PoseNetworks:
     elif config.pretrained:
         for encoder in encoders:
             encoder.load_pretrained()
-    if config.pretrained or config.init is not None:
+    if config.frozen_stages and (config.pretrained or config.init is not None):
         for encoder in encoders:
-            encoder.freeze(_FROZEN_ENCODER_STAGES)
+            encoder.freeze(config.frozen_stages)
     return networks
 
 
@@ -220,7 +216,11 @@ def train_stage(
     extra: dict[str, Any] = {}
     if name == "volume":
         degrees, millimeters = config.pose_noise
-        extra = {"pose_noise": (degrees, millimeters / 1000), "pose_weight": config.pose_loss}
+        extra = {
+            "pose_noise": (degrees, millimeters / 1000),
+            "pose_weight": config.pose_loss,
+            "tune_features": config.tune_features,
+        }
     elif name == "decoders":
         extra = {"tune_encoder": config.tune_encoder}
     workers = default_workers(networks.device) if config.workers is None else config.workers
@@ -245,6 +245,8 @@ def train_stage(
         networks.trained -= {"volume", "cascade", "points"}
     elif name == "decoders":
         networks.trained -= {"volume", "points"}
+    elif name == "volume" and config.tune_features:
+        networks.trained -= {"cascade", "points"}
     networks.trained |= {"features" if name == "decoders" else name}
     return step
 

@@ -1,4 +1,4 @@
-"""Training of ``mid``'s volume: pairs of crops, on frozen 2D features."""
+"""Training of ``mid``'s volume: pairs of crops, on frozen 2D features or end to end."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ...core.pose_noise import perturb_relative_pose
+from ..networks.container import PoseNetworks
 from ..networks.volume import LevelOutput, ViewMaps
 from ..networks.voting import vote
 from ..solvers.rigid import RigidMotions, solve
@@ -17,7 +18,7 @@ from ..symmetry import keypoint_permutations
 from ..training_data.dataset import TrainingSet
 from ..training_data.target_sample import as_input, pair_arrays
 from .loader import Batch, Sample, SampleFunction
-from .losses import distribution_loss, keypoint_loss, pose_loss
+from .losses import distribution_loss, features_loss, keypoint_loss, pose_loss
 from .stage_base import KeypointStage, Predictions, padded_stack
 
 _KEYPOINT_WEIGHT = 4.0
@@ -29,7 +30,7 @@ _GUESS_NOISE = 0.1
 
 
 class VolumeStage(KeypointStage):
-    """The volume on pairs of views; of the 2D network only the lifted map is trained with it.
+    """The volume on pairs of views; by default only the lifted map of the 2D network is trained.
 
     The loss is the paper's, the sum over the levels of beta1 pose + beta2 keypoint + beta3 KL
     divergence. The coarse level's pose is included only where the volume's configuration says so
@@ -40,6 +41,8 @@ class VolumeStage(KeypointStage):
         pose_noise: maximum error of the volume's relative pose in training, as rotation in degrees
             and translation in meters; see :func:`perturb_relative_pose`.
         pose_weight: weight of the pose loss; 0 turns it off.
+        tune_features: train the 2D features too (what of them is not frozen before), with their
+            own loss added.
         kwargs: of :class:`StageBase`.
     """
 
@@ -50,8 +53,11 @@ class VolumeStage(KeypointStage):
         *args: Any,
         pose_noise: tuple[float, float] = (0.0, 0.0),
         pose_weight: float = 1.0,
+        tune_features: bool = False,
         **kwargs: Any,
     ):
+        networks: PoseNetworks = args[0]
+        learned = [p for p in networks.features.parameters() if tune_features and p.requires_grad]
         super().__init__(*args, **kwargs)
         self.pose_noise = pose_noise
         self.pose_weight = pose_weight
@@ -59,6 +65,13 @@ class VolumeStage(KeypointStage):
         self.validation = (16, 16) if self.networks.volume.config.fine.cells else (24, 2)
         heads = self.networks.features.volume_heads.requires_grad_(True)
         self._module = torch.nn.ModuleDict({"volume": self.networks.volume, "heads": heads})
+        self.tune_features = tune_features
+        if tune_features:
+            self._module = torch.nn.ModuleDict(
+                {"volume": self.networks.volume, "features": self.networks.features}
+            )
+            for parameter in learned:
+                parameter.requires_grad_(True)
         self.permutations = padded_stack(
             [keypoint_permutations(m.keypoints, m.symmetries) for m in self.train.models]
         ).to(self.device)
@@ -69,7 +82,7 @@ class VolumeStage(KeypointStage):
 
     def sample_function(self, source: TrainingSet) -> SampleFunction:
         noise = self.pose_noise if source is self.train else (0.0, 0.0)
-        return partial(draw_noisy_pair, source, noise)
+        return partial(draw_noisy_pair, source, noise, self.tune_features)
 
     def forward(self, batch: Batch) -> dict[str, Any]:
         """Runs a batch of pairs of :func:`draw_noisy_pair`."""
@@ -97,7 +110,7 @@ class VolumeStage(KeypointStage):
             levels = networks.volume(maps, guess, diameter)
         return {
             "levels": levels, "truth": truth, "T_true": T_true, "diameter": diameter,
-            "index": index,
+            "index": index, "features": out,
         }  # fmt: skip
 
     def solve(self, level: LevelOutput, out: dict[str, Any]) -> RigidMotions:
@@ -136,8 +149,9 @@ class VolumeStage(KeypointStage):
         terms: dict[str, Tensor] = {}
         for level, name in zip(out["levels"], ("coarse", "fine"), strict=True):
             distribution = distribution_loss(
-                level.log_probability, level.cells, out["truth"], level.cell_size
-            )
+                level.log_probability, level.cells, out["truth"], level.cell_size,
+                predicted_first=self.networks.volume.config.predicted_first,
+            )  # fmt: skip
             distance = keypoint_loss(level.keypoints, out["truth"], out["diameter"])
             total = total + _DISTRIBUTION_WEIGHT * distribution + _KEYPOINT_WEIGHT * distance
             terms |= {f"{name}_kl": distribution, f"{name}_distance": distance}
@@ -145,6 +159,10 @@ class VolumeStage(KeypointStage):
                 pose = pose_loss(*self.solve(level, out), out["T_true"], out["diameter"])
                 total = total + self.pose_weight * pose
                 terms["pose" if name == "fine" else "coarse_pose"] = pose
+        if self.tune_features:
+            targets = (batch[name].flatten(0, 1) for name in ("mask", "directions"))
+            loss, parts = features_loss(out["features"], *targets)
+            total, terms = total + loss, terms | parts
         return total, terms
 
     def predict(self, batch: Batch) -> Predictions:
@@ -155,13 +173,17 @@ class VolumeStage(KeypointStage):
 
 
 def draw_noisy_pair(
-    source: TrainingSet, pose_noise: tuple[float, float], rng: np.random.Generator
+    source: TrainingSet,
+    pose_noise: tuple[float, float],
+    with_fields: bool,
+    rng: np.random.Generator,
 ) -> Sample:
     """Draws a pair, the error of its guessed center, and its relative pose with noise.
 
     Args:
         source: of the pair.
         pose_noise: maximum error of the relative pose in degrees and meters.
+        with_fields: whether both views' masks and vector fields are in the sample.
         rng: random generator.
     """
     first, second, T_second_ref = source.draw_pair(rng, with_depth=False)
@@ -169,8 +191,10 @@ def draw_noisy_pair(
     noisy = T_second_ref
     if any(pose_noise):
         noisy = perturb_relative_pose(T_second_ref, *pose_noise, rng, uniform=True)
+    fields = ("mask", "directions") if with_fields else ()
     return {
         **pair_arrays(first, second),
+        **{name: np.stack([getattr(v, name) for v in (first, second)]) for name in fields},
         "T_second_ref": T_second_ref.astype(np.float32),
         "noisy_T_second_ref": noisy.astype(np.float32),
         "guess_error": guess_error.astype(np.float32),
