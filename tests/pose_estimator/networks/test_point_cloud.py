@@ -53,6 +53,16 @@ def test_points_lie_on_the_object_at_their_pixels(boxes, radians):
     np.testing.assert_allclose(cloud.center[0], np.median(cloud.xyz[0], 0), atol=1e-3)
 
 
+def test_points_are_the_same_under_autocast(boxes):
+    K = rotated_crop(0.3)
+    depth = box_depth(boxes["brick"], T_CAM_OBJ, K, (SIDE, SIDE))
+    expected = sample(depth, np.ones((32, 32)), K)
+    with torch.autocast("cpu", torch.bfloat16):
+        found = sample(depth, np.ones((32, 32)), K)
+    for part, other in zip(found, expected, strict=True):
+        assert torch.equal(part, other)
+
+
 def test_crop_frame_follows_the_crops_center_and_rotation():
     straight, rotated = (
         crop_frame(torch.from_numpy(rotated_crop(a))[None], SIDE)[0].numpy() for a in (0.0, 0.5)
