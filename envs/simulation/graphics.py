@@ -4,8 +4,6 @@ MuJoCo's classic renderer without multisampling and with a smaller shadow map, w
 OpenGL fast.
 """
 
-from __future__ import annotations
-
 import atexit
 import os
 import weakref

@@ -1,7 +1,5 @@
 """Samples an object's points from the depth map of its crop, in the crop's frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

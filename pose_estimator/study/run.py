@@ -1,7 +1,5 @@
 """Runs the study from its options to its records, and resumes from its logs."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Training losses: heat maps, boxes, vector fields, keypoint distributions and poses."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torch.nn import functional as F
