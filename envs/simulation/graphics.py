@@ -152,6 +152,12 @@ class Graphics:
             group[geom] = before
         return silhouette
 
+    @property
+    def buffer_size(self) -> tuple[int, int]:
+        """Height and width of the offscreen buffer in pixels, zeros before the first image."""
+        context = self._context
+        return (0, 0) if context is None else (context.offHeight, context.offWidth)
+
     def close(self) -> None:
         """Frees the context; the next image opens a new one."""
         if self._context is not None and self._pid == os.getpid():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from helpers.boxes_with_depth import box_depth
+from helpers.boxes import box_depth
 from scipy.spatial.transform import Rotation
 from two_view_pose.core.geometry import LINEMOD_K, crop_matrix, grid_matrix, make_transform, project
 from two_view_pose.pose_estimator.networks.point_cloud import crop_frame, sample_points
