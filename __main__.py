@@ -5,8 +5,6 @@ takes it. Only the chosen command's modules are imported, the function's after t
 read, so that help is quick.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

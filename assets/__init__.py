@@ -5,8 +5,6 @@
 ``collage`` draws random textures. ``objects``, ``weights`` and ``agents`` are data.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache

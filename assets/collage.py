@@ -5,8 +5,6 @@ and Huang, IJCV 2001; Baradad et al., "Learning to See by Looking at Noise", Neu
 training needs no photographs.
 """
 
-from __future__ import annotations
-
 import colorsys
 from collections.abc import Sequence
 

@@ -6,8 +6,6 @@ and the versions of our code and its libraries. Entries are bit-exact. The folde
 without access to it every import runs.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import io

@@ -4,8 +4,6 @@ Per-vertex colors, per-face colors and textures are all sampled at dense points 
 surface and baked from there, so welding, decimation and unwrapping need not know about colors.
 """
 
-from __future__ import annotations
-
 import re
 import zlib
 from functools import lru_cache

@@ -3,8 +3,6 @@
 An object whose mesh may not be redistributed is ``object.json`` only, with its bounding box.
 """
 
-from __future__ import annotations
-
 import json
 from importlib.metadata import version
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Properties of a surface: keypoints, evenly spaced points, diameter, stable poses."""
 
-from __future__ import annotations
-
 import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, distance

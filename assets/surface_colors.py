@@ -1,7 +1,5 @@
 """Samples the colors of a mesh at surface points, for every way to store colors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ MuJoCo needs one texture. Colors per vertex, per face or in other textures are a
 surface points to colors here, which are sampled at every texel of the atlas.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """CPU cores: available and idle ones, and /proc/cpuinfo."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The error for wrong input."""
 
-from __future__ import annotations
-
 
 class InputError(ValueError):
     """An option, argument or file is wrong; the message names it and says what is allowed.

@@ -5,8 +5,6 @@ top-left pixel at (0, 0). Every transform is named ``T_to_from`` and maps ``from
 ``to`` coordinates.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

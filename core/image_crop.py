@@ -1,7 +1,5 @@
 """Affine maps of images, and square crops cut out by them."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -4,8 +4,6 @@ Networks and images allocate arrays of many sizes in changing order, which fragm
 memory in use stays constant while the process grows.
 """
 
-from __future__ import annotations
-
 import ctypes
 import sys
 

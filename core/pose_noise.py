@@ -1,7 +1,5 @@
 """Errors of a relative camera pose, as from an inexact hand-eye calibration."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,5 @@
 """The CPU that networks run on: name, instruction sets and limits on their use."""
 
-from __future__ import annotations
-
 import os
 import platform
 from functools import cache

@@ -4,8 +4,6 @@ The document is ``{"command", "versions", "seed", "records"}``; a record is ``{"
 "unit", ...tags}``. Records are validated when written: JSON has no NaN.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

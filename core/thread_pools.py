@@ -5,8 +5,6 @@ machine a barrier waits for a thread without a core, hundreds of times an estima
 each run the complete network synchronize once.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 from concurrent.futures import ThreadPoolExecutor

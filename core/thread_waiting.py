@@ -8,8 +8,6 @@ OpenMP reads its variables once, when torch is loaded: import ``two_view_pose`` 
 one of ``VARIABLES`` yourself. Child processes inherit them in any case.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 

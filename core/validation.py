@@ -1,7 +1,5 @@
 """Checks of settings: every error names the field, what is allowed, and the value."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from numbers import Real

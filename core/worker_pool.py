@@ -7,8 +7,6 @@ an executor of one process: a pool of several cannot replace one of them, and Py
 because how much a scene leaks depends on the driver.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

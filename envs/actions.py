@@ -1,7 +1,5 @@
 """Converts actions to viewpoints on the view sphere."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from numbers import Integral
 from typing import Any

@@ -1,7 +1,5 @@
 """The base class of the live environments: scene, views, estimates and reward of one episode."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

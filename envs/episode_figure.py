@@ -1,7 +1,5 @@
 """The figure that ``render`` returns: both views, both poses and their errors."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import cv2

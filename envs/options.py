@@ -1,7 +1,5 @@
 """The options of ``reset(options=...)``, and their validation."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any

@@ -1,7 +1,5 @@
 """The interface of a pose estimator, as the environments use it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Two-View Pose over recorded views, without rendering and estimation."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from functools import lru_cache

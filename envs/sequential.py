@@ -1,7 +1,5 @@
 """Several second views: take more until the pose is good enough or the budget is spent."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any

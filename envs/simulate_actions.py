@@ -1,7 +1,5 @@
 """Counterfactual steps: what a step would return, for recording and for the oracle."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any

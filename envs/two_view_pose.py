@@ -1,7 +1,5 @@
 """Two-View Pose: choose the second view from which an object's 6D pose is estimated."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 from typing import Any

@@ -1,7 +1,5 @@
 """``render_mode="human"``: shows frames in a window, or as an image file without one."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from pathlib import Path

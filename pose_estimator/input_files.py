@@ -1,7 +1,5 @@
 """Reads matrices and depth maps from a user's files."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

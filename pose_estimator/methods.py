@@ -6,8 +6,6 @@ its figures read the table. A method with a network of its own also needs the ne
 ``PARTS``, the network in ``networks/container.py`` and its stage in ``training/``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any

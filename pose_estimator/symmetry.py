@@ -1,7 +1,5 @@
 """Symmetric objects: one canonical pose for each appearance, and permuted keypoints."""
 
-from __future__ import annotations
-
 import numpy as np
 
 _CANONICAL_DIRECTION = np.array([0.45, 0.89, 0.0])

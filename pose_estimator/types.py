@@ -1,7 +1,5 @@
 """Regions of interest and pose estimates: what estimators take and return."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

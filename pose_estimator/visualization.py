@@ -1,7 +1,5 @@
 """Draws a posed object into an image: its silhouette and its outline."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Protocol
 

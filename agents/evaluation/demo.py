@@ -1,7 +1,5 @@
 """The command ``demo``: runs one episode, prints its errors and writes an image."""
 
-from __future__ import annotations
-
 import io
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Evaluates policies on the same scenes."""
 
-from __future__ import annotations
-
 import os
 import shlex
 from collections.abc import Mapping, Sequence

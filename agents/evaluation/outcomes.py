@@ -4,8 +4,6 @@ Policies see the same scenes, so differences are paired: their intervals resampl
 policies' outcomes together (Efron and Tibshirani, *An Introduction to the Bootstrap*, chapter 8).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Training algorithms, and checks of their hyper-parameters given as plain data."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

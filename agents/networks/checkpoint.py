@@ -5,8 +5,6 @@ everything is plain data, safe to load from an untrusted source. Finished polici
 precision, checkpoints in full.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping

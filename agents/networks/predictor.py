@@ -4,8 +4,6 @@ An occluder of a view stands on the line of sight from the object to that camera
 visible in the reference image: the network samples its features along it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import cast
 

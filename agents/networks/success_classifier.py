@@ -4,8 +4,6 @@ Its inputs are the keypoints' uncertainty, the detection confidence, the object,
 change of the estimate since the first view.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -4,8 +4,6 @@
 the estimated object and the robot's own camera pose, no ground truth.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from itertools import product

@@ -6,8 +6,6 @@ reinforcement learning. A bank holds the outcome of every candidate of every sce
 are targets at once; a reinforcement learner sees the reward of the one it took.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

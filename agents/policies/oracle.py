@@ -1,7 +1,5 @@
 """``oracle``: simulates every view and takes the best one; an upper bound."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import gymnasium as gym

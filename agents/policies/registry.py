@@ -1,7 +1,5 @@
 """The table of policies, by name or by file."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

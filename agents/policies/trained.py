@@ -1,7 +1,5 @@
 """Trained agents, rebuilt from plain data; loading a file executes nothing."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from typing import Any

@@ -7,8 +7,6 @@ two pixel coordinates, which adds the information J^T R^-1 J, where J is the pro
 The policy takes the view with the smallest sum of posterior variances. It ignores occlusion.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

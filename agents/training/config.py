@@ -1,7 +1,5 @@
 """Options of ``train-agent`` and ``evaluate-agent``; importing them does not import torch."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tuned hyper-parameters: reads YAML in rl-zoo3's format and converts it to SB3 arguments."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

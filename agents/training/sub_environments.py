@@ -4,8 +4,6 @@ SB3's own vector environments run sub-environments sequentially or in one proces
 its own estimator. ``TwoViewPoseVectorEnv`` batches all of them in one estimator.
 """
 
-from __future__ import annotations
-
 import importlib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Resumable training of an agent with Stable-Baselines3."""
 
-from __future__ import annotations
-
 import functools
 import os
 import shlex

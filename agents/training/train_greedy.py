@@ -1,7 +1,5 @@
 """``train-agent --algo greedy``: trains on a bank and writes the agent file."""
 
-from __future__ import annotations
-
 import os
 import time
 from pathlib import Path

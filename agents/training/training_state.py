@@ -5,8 +5,6 @@ generators are not saved: they are reseeded from (seed, steps) at each checkpoin
 interrupted and resumed run ends with the same weights, bit for bit on the same machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from operator import attrgetter
 from typing import Any

@@ -1,7 +1,5 @@
 """Training over a bank: splits off validation scenes and keeps the best policy."""
 
-from __future__ import annotations
-
 import functools
 import json
 from dataclasses import replace

@@ -8,8 +8,6 @@ rl-zoo3 trains by environment id, for example with recorded views::
 Class names in ``hyperparameters.yml`` are converted to classes.
 """
 
-from __future__ import annotations
-
 import yaml
 
 from ..networks.algorithms import policy_kwargs

@@ -1,7 +1,5 @@
 """The command ``compare``: renders missing test sets, then runs the study on them."""
 
-from __future__ import annotations
-
 from ...core.device import check_device
 from ...pose_estimator.study.config import CompareConfig
 

@@ -1,7 +1,5 @@
 """The command ``doctor``: checks this installation, and says what to install if a check fails."""
 
-from __future__ import annotations
-
 import platform
 import re
 import subprocess

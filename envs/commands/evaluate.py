@@ -1,7 +1,5 @@
 """The command ``evaluate``: evaluates on a dataset, or on held-out scenes that it renders."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

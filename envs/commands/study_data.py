@@ -5,8 +5,6 @@ number, so sets of different seeds share only the objects. The shipped weights w
 seeds 3 and 7001.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -5,8 +5,6 @@ dataset has one of all files outside of the scenes and of the scenes' lists, so 
 everything without growing with the number of images.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

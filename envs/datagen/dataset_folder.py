@@ -1,7 +1,5 @@
 """The folder of a generated dataset: its manifest, and temporary files of killed runs."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The two-view pairs of a generated dataset, read from its files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Sets up, renders, annotates and writes one scene of a generated dataset."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ this one the object did not move; each slot holds the one whose direction from t
 is nearest to that of the slot's candidate. So one photograph may fill many slots.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 from typing import Any

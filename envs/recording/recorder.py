@@ -1,7 +1,5 @@
 """Records one scene of a view bank: the reference view, then every candidate view."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...pose_estimator.bop.objects import load_objects

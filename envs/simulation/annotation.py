@@ -1,7 +1,5 @@
 """Ground-truth annotations of an image: boxes, visible fractions, masks and silhouettes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

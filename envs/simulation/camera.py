@@ -4,8 +4,6 @@ Everywhere else cameras are OpenCV's (x right, y down, z forward). OpenGL's (x r
 backward) exists in :func:`opencv_to_opengl` and :func:`frustum` alone.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

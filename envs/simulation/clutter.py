@@ -4,8 +4,6 @@ LineMOD's targets are unoccluded. For LM-O, a target visibility is drawn from it
 arrangements are sampled, measured in small images, until one comes close.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ that grow with the square of the distance, and missing in the projector's shadow
 and next to depth edges.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

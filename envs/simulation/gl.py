@@ -4,8 +4,6 @@
 is imported with the first image.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import platform

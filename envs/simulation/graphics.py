@@ -4,8 +4,6 @@ MuJoCo's classic renderer without multisampling and with a smaller shadow map, w
 OpenGL fast.
 """
 
-from __future__ import annotations
-
 import atexit
 import os
 import weakref
@@ -153,6 +151,12 @@ class Graphics:
         finally:
             group[geom] = before
         return silhouette
+
+    @property
+    def buffer_size(self) -> tuple[int, int]:
+        """Height and width of the offscreen buffer in pixels, zeros before the first image."""
+        context = self._context
+        return (0, 0) if context is None else (context.offHeight, context.offWidth)
 
     def close(self) -> None:
         """Frees the context; the next image opens a new one."""

@@ -4,8 +4,6 @@ As in LM-O, all objects are targets at once and occlude each other. The clutter 
 reference camera to bring their visibilities close to samples of LM-O's distribution.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Camera intrinsics for images of another size than LineMOD's."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

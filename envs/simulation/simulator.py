@@ -4,8 +4,6 @@ An environment runs its simulator in its own process, ``TwoViewPoseVectorEnv`` i
 (``vector/remote_simulator.py``). Calls depend only on their arguments and the last reset.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial

@@ -4,8 +4,6 @@ Every texture is (size, size, 3) uint8; all but collages and markers tile seamle
 buffers are reused: an episode draws seven textures, and large temporary arrays fragment the heap.
 """
 
-from __future__ import annotations
-
 import threading
 
 import cv2

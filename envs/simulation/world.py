@@ -5,8 +5,6 @@ place. Every object and shape is a free body whose collision geometry is its con
 physics can check placements; rendering never steps the simulation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum

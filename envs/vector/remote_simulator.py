@@ -1,7 +1,5 @@
 """Simulators in worker processes, which set up and render scenes while this one estimates."""
 
-from __future__ import annotations
-
 import os
 import pickle
 from collections.abc import Callable, Iterator

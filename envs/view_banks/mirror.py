@@ -4,8 +4,6 @@ The best second view of a mirrored scene is the mirrored one. A mirrored object 
 object, but most are nearly symmetric, and doubling a thousand scenes helps more than this costs.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...core.errors import InputError

@@ -1,7 +1,5 @@
 """Bounding boxes as BOP files hold them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 Box = tuple[int, int, int, int]

@@ -4,8 +4,6 @@ Boxes are amodal, segmentations are of the visible pixels, as uncompressed run-l
 (https://cocodataset.org/#format-data).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any

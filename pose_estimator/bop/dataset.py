@@ -5,8 +5,6 @@ Files hold millimeters. Everything that this package returns or takes is in mete
 camera frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

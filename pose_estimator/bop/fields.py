@@ -4,8 +4,6 @@ Invalid fields are passed to a callback of type `Report`. The default, `refuse`,
 passes one that collects them, and gets NaN for invalid values.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

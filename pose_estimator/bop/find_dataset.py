@@ -1,7 +1,5 @@
 """Locates a dataset: a folder, or a name in the folder $BOP_PATH."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -5,8 +5,6 @@ where two or more keep their relative pose from one image to the next, they are 
 camera's motion.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

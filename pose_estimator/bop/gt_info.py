@@ -1,7 +1,5 @@
 """Computes what ``scene_gt_info.json`` holds, which the test splits of some datasets lack."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

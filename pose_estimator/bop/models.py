@@ -4,8 +4,6 @@ Both hold one PLY file in millimeters per object and the same ``models_info.json
 evaluation uses the same diameters and symmetries.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any

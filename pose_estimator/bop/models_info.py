@@ -1,7 +1,5 @@
 """Reads ``models_info.json`` of a BOP dataset: sizes and symmetries of its objects."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property

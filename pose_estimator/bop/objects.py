@@ -1,7 +1,5 @@
 """The objects of a BOP dataset for evaluation: points, diameters, symmetries."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass

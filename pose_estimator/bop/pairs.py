@@ -1,7 +1,5 @@
 """Two-view pairs of a BOP dataset: pairs of images between which objects did not move."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path

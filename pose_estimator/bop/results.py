@@ -6,8 +6,6 @@ nine numbers in row-major order, t three numbers in millimeters, both separated 
 as ``METHOD_DATASET-SPLIT.csv``.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping

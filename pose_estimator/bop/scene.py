@@ -4,8 +4,6 @@ Used by `dataset`, which raises at the first invalid field, and by the linter, w
 `fields.Report`). Lengths are in meters, invalid numbers are NaN, rotations may be rounded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

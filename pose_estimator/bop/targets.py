@@ -1,7 +1,5 @@
 """Localization targets of a BOP test split: ``test_targets_bop19.json``."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path

@@ -4,8 +4,6 @@ Files and scene folders are written under a temporary name and renamed, so that 
 leaves no incomplete ones.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """Checks boxes, pixel counts and visible fractions of ``scene_gt_info.json``, and masks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Checks camera matrices, world poses, image sizes and ``camera.json``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The command ``check-data``: what is wrong with a BOP dataset, and what to do about it."""
 
-from __future__ import annotations
-
 from .config import CheckDataConfig
 
 

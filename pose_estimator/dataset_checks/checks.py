@@ -1,7 +1,5 @@
 """Runs all checks of a dataset: models, pairs, then each scene."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeVar

@@ -1,7 +1,5 @@
 """Checks that depth maps agree with the poses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Checks for unlisted and duplicated images and missing depth maps of a scene."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..bop.fields import Place

@@ -1,7 +1,5 @@
 """Findings of the dataset checks, grouped by problem and cause."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path

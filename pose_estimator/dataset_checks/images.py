@@ -1,7 +1,5 @@
 """Checks a sample of a scene's images, masks and depth maps, and that poses agree with them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

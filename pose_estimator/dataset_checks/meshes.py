@@ -1,7 +1,5 @@
 """Reads a dataset's possibly invalid meshes and ``models_info.json``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Checks that the meshes agree with ``models_info.json``: units, sizes, symmetries."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 
 import numpy as np

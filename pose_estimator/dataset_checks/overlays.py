@@ -1,7 +1,5 @@
 """Overlay images of wrong projections: the mask and the model, as written and as corrected."""
 
-from __future__ import annotations
-
 import io
 import textwrap
 from collections.abc import Iterable, Sequence

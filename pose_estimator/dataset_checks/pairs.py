@@ -1,7 +1,5 @@
 """Checks that view pairs and camera world poses agree with the poses of static objects."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Common mistakes in written poses and camera matrices, each with its correction."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

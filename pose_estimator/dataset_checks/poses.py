@@ -1,7 +1,5 @@
 """Checks poses: rotations, distances, object ids, duplicated annotations."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

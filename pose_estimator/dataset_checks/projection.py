@@ -1,7 +1,5 @@
 """Checks that objects project onto their masks, and explains those that do not."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Prints what is wrong with a dataset: one row for equal findings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rich.console import Console

@@ -1,7 +1,5 @@
 """Options of the command ``evaluate``."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

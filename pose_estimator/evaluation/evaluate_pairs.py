@@ -1,7 +1,5 @@
 """Runs an estimator on pairs of images with known poses, in batches."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from functools import lru_cache

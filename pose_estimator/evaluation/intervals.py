@@ -7,8 +7,6 @@ others, are resampled in separate strata, so that every resample has all objects
 sequence that is alone in its stratum is resampled by frames.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ point form (equation 5), with the argument order of the BOP toolkit. A pose coun
 the error is below a tenth of the object's diameter.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Protocol
 

@@ -6,8 +6,6 @@ extent) can select another neighbor, which moves the mean of thousands by 1e-12 
 motions, whose coordinates would be rounded coarsely, SciPy is used.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree

@@ -1,7 +1,5 @@
 """Ground-truth (oracle) regions of interest, for analyses without the detector."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

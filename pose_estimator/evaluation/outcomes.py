@@ -1,7 +1,5 @@
 """The outcomes of an evaluation, pair by pair, and the results that summarize them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Scores a BOP result file of any method."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Batches of requests to any estimator, with or without ``estimate_batch``."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ it. Its distance behind that surface in the pose so far widens its covariance, s
 relies on the keypoints that the reference view sees.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """From full frames to voted 2D keypoints: detection, crops, features, votes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple

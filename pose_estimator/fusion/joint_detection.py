@@ -5,8 +5,6 @@ in one of them. Peaks of two views match if one point in space explains both: th
 depth that fits the sizes of both regions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """``late``: each view votes for 2D keypoints, which are triangulated."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

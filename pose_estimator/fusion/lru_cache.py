@@ -1,7 +1,5 @@
 """An LRU cache of results for views."""
 
-from __future__ import annotations
-
 import threading
 from collections import OrderedDict
 from typing import Any, Generic, TypeVar

@@ -4,8 +4,6 @@ The solver gets the volume's keypoints. Since 16 voxels a side are coarser than 
 pose is then refined with both.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """``rgbd``: the pose from one image and its depth map, the study's reference method."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

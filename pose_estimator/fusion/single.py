@@ -1,7 +1,5 @@
 """``single``: the pose from one image, by voted keypoints and uncertainty-driven PnP (PVNet)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

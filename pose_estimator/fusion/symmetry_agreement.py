@@ -4,8 +4,6 @@ Each view may vote for another of the equivalent poses. A symmetry permutes the 
 permutation that triangulates best is taken.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

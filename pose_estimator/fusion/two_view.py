@@ -4,8 +4,6 @@ The object is detected in all views jointly and the views are fused. The fused p
 and a second pass fuses their votes. A method only adds how views are fused.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

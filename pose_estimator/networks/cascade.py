@@ -11,8 +11,6 @@ Unlike Cas-MVSNet's, the U-Net also sees the reference's own features and each h
 in its range, for surfaces without texture and for short baselines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The networks of one set of weights, and their objects."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

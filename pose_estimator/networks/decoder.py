@@ -7,8 +7,6 @@ a quarter. So in the end each object has its own decoder, initialized from the s
 a whole network for each object.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

@@ -5,8 +5,6 @@ A center heat map and a ROI size for each object (Zhou et al., "Objects as Point
 it is occluded, so that two detections triangulate to the object.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -6,8 +6,6 @@ only training needs (extra ``train``). Their frozen batch norms are folded into 
 loading.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F

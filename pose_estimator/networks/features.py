@@ -6,8 +6,6 @@ volume. The encoder is shared; the decoder is shared or one for each object; the
 weights for each object, of which only the requested ones are computed.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

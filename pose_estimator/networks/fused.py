@@ -6,8 +6,6 @@ more than the convolutions of a MobileNet. Weights are rounded to bfloat16 once,
 supports it, and reordered once to oneDNN's layout.
 """
 
-from __future__ import annotations
-
 from copy import copy
 from functools import cache
 from typing import TypeVar

@@ -7,8 +7,6 @@ not depend on the other items or on the load. On a GPU a list is one batch, and 
 up to rounding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, is_dataclass
 from itertools import islice

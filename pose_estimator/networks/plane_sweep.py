@@ -9,8 +9,6 @@ to the view. The camera matrices may be those of crops, i.e. any affine map time
 Computes in float32 at least: at a meter bfloat16 has steps of 8 mm.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torch.nn import functional as F

@@ -1,7 +1,5 @@
 """Samples an object's points from the depth map of its crop, in the crop's frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -50,7 +48,7 @@ def sample_points(
     count: int,
     generator: torch.Generator | Sequence[torch.Generator],
 ) -> PointCloud:
-    """Samples points of an object from its crop's depth.
+    """Samples points of an object from its crop's depth, in float32 also under autocast.
 
     Args:
         depth: (B, S, S) meters along the camera's z, 0 where unknown.
@@ -63,6 +61,20 @@ def sample_points(
     Returns:
         The points, always finite.
     """
+    # In bfloat16, whose steps at a meter are 8 mm, points would move.
+    with torch.autocast(depth.device.type, enabled=False):
+        return _sample(depth, mask, K, diameter, count, generator)
+
+
+def _sample(
+    depth: Tensor,
+    mask: Tensor,
+    K: Tensor,
+    diameter: Tensor,
+    count: int,
+    generator: torch.Generator | Sequence[torch.Generator],
+) -> PointCloud:
+    """As :func:`sample_points`, without autocast."""
     batch, side = depth.shape[:2]
     inside = F.interpolate(mask[:, None], size=(side, side), mode="bilinear")
     usable = (depth > 0) & (inside[:, 0] > _MIN_MASK)

@@ -8,8 +8,6 @@ the 2D votes, as in Mid-Fusion's volume. Keypoints are confidence-weighted means
 votes; outliers are down-weighted softly, which is differentiable.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial

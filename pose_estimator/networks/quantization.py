@@ -4,8 +4,6 @@ Krishnamoorthi, "Quantizing deep convolutional networks for efficient inference:
 (2018), section 3. Only files are quantized: networks compute in full precision.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Set
 

@@ -9,8 +9,6 @@ A volume may also lift each view's 2D evidence: the likelihood of its votes at e
 CNN then corrects a probabilistic triangulation.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Weights files: tensors in safetensors, with a JSON header."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from functools import lru_cache

@@ -12,8 +12,6 @@ which propagates the pixels' covariances to the point. A point that two views do
 covariance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2

@@ -8,8 +8,6 @@ model keypoints and the voted ones,
 here with a Huber weight (:mod:`reprojection`), starting from OpenCV's global solvers.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

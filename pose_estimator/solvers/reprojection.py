@@ -6,8 +6,6 @@ the camera's axes and about the object's origin: X = exp(w) R m + t + v, so a po
 that of (w, v), radians and meters.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

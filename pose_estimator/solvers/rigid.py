@@ -5,8 +5,6 @@ exhaustive (deterministic) RANSAC (Fischler and Bolles 1981): of all 84 triples 
 inliers is chosen, and its inliers are fitted by least squares.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -6,8 +6,6 @@ its largest eigenvalue is the quaternion of the nearest rotation. Unlike with a
 singular value decomposition, no determinant correction is needed, and it takes half the time.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

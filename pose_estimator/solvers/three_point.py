@@ -8,8 +8,6 @@ What depends on the model alone is computed once for each model. Vectors are sto
 (3, B, H), so that the rest is a few operations on long rows.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from itertools import combinations
 from typing import NamedTuple

@@ -6,8 +6,6 @@ View Geometry*, chapter 12, with a covariance for each pixel). Where the rays ar
 depth is unobservable: a weak prior keeps the point finite, and its covariance is large.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

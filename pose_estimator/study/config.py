@@ -37,7 +37,7 @@ class CompareConfig:
     """Maximum number of pairs for each object and gap; 0 = all."""
     noise_pairs: int = 20
     """Pairs for each object under every error of the relative pose; 0 = all."""
-    pictures: int = 2
+    images: int = 2
     """Pairs of each test to draw."""
     seed: int = 0
     """Random seed of the errors of the relative pose and of the pairs to draw."""
@@ -55,7 +55,7 @@ class CompareConfig:
             raise InputError(
                 f"methods must be some of {', '.join(METHODS)}, got {', '.join(self.methods)}"
             )
-        require_within(self, 0, math.inf, "pairs", "noise_pairs", "pictures", "seed", "threads")
+        require_within(self, 0, math.inf, "pairs", "noise_pairs", "images", "seed", "threads")
 
     @property
     def test_data(self) -> Path:
@@ -64,7 +64,7 @@ class CompareConfig:
 
     def reduced(self) -> CompareConfig:
         """Returns the options themselves, or with few pairs for a quick run."""
-        return replace(self, noise_pairs=1, pictures=1) if self.quick else self
+        return replace(self, noise_pairs=1, images=1) if self.quick else self
 
     @property
     def cost_repeats(self) -> int:

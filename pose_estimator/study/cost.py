@@ -3,8 +3,6 @@
 The methods take turns on the same pairs, so that other load of the machine affects all alike.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Chooses the pairs that the study draws and times."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 

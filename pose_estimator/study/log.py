@@ -1,7 +1,5 @@
 """Logs of outcomes, one line for each pair of views, which make a study resumable."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field

@@ -1,7 +1,5 @@
 """The runs of a study: each method, the pairs of each test, and errors of the relative pose."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal

@@ -4,8 +4,6 @@ The paper's tests are real images of LineMOD; ours are simulated scenes with our
 difference between a published and a measured result does not compare methods.
 """
 
-from __future__ import annotations
-
 PAPER = "arXiv 2207.00260"
 TITLE = "Towards Two-view 6D Object Pose Estimation: A Comparative Study on Fusion Strategy"
 

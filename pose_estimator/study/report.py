@@ -1,7 +1,5 @@
 """Renders the study as one HTML page, from results.json and the images in figures/."""
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Mapping, Sequence

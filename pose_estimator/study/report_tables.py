@@ -1,7 +1,5 @@
 """The tables of the report, from the study's records. A table without results is None."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

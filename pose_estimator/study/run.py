@@ -1,7 +1,5 @@
 """Runs the study from its options to its records, and resumes from its logs."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping
@@ -60,7 +58,7 @@ class Study:
         self.records += tables(outcomes)
         objects = networks_of(next(iter(baseline.values()))).objects
         tests = list(self.tests.values())
-        draw = {"count": config.pictures, "seed": config.seed}
+        draw = {"count": config.images, "seed": config.seed}
         draw_gallery(tests, baseline, objects, config.out / "figures", **draw)
         pairs = timed_pairs(tests[0], objects)
         self.records += measure_cost(baseline, pairs, config.cost_repeats)

@@ -4,8 +4,6 @@ Intervals are of 95 percent, from a bootstrap over sequences (``evaluation/inter
 weight all objects, and all gaps, equally.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from operator import attrgetter
 from typing import Any

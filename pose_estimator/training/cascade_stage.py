@@ -1,7 +1,5 @@
 """Training of ``early``'s cascade: pairs of crops with depth, on frozen 2D features."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Checkpoints of a training stage: one safetensors file, replaced atomically."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

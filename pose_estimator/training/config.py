@@ -1,7 +1,5 @@
 """Options of the command ``train-estimator``."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

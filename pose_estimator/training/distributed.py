@@ -9,8 +9,6 @@ batch, is computed per share on both.
 Without ``torchrun`` every function here does nothing, or returns at once.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Batches prefetched by workers: reproducible by number, for any number of workers."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Any

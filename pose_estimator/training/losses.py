@@ -1,15 +1,10 @@
 """Training losses: heat maps, boxes, vector fields, keypoint distributions and poses."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-if TYPE_CHECKING:
-    from ..networks.features import Features2D
+from ..networks.features import Features2D
 
 
 def heat_map_loss(logits: Tensor, heat: Tensor) -> Tensor:

@@ -1,7 +1,5 @@
 """The objects of a training: those that are requested, else those of the dataset."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

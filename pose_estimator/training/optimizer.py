@@ -7,8 +7,6 @@ error of voted keypoints on held-out crops was 9.8 pixels, with AdamW alone 17.2
 percent longer.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Base classes of the training stages: batches, frozen features, validation of keypoints."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Training stages on single images: detector and 2D features."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any

@@ -4,8 +4,6 @@ Most of each network is shared by all objects. The rows of a few tensors that be
 are copied for the objects that both know; for the others they start untrained.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

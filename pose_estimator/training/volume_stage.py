@@ -1,7 +1,5 @@
 """Training of ``mid``'s volume: pairs of crops, on frozen 2D features or end to end."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

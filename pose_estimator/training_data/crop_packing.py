@@ -1,7 +1,5 @@
 """Packs a BOP dataset for training; see :mod:`.crops` for the format."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -5,8 +5,6 @@ each target (one object in one image) a JPEG crop somewhat wider than its ROI an
 visible mask, and for each image a JPEG at the detector's size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

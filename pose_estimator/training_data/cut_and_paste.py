@@ -5,8 +5,6 @@ Objects are cut out by their visible masks and pasted, as in PVNet (Peng et al.,
 unchanged.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """Training samples from a pack of crops: single targets, pairs of views, and whole frames."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import cv2

@@ -1,7 +1,5 @@
 """Augmentation of the depth of a training crop: sensor noise and holes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

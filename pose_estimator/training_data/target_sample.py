@@ -1,7 +1,5 @@
 """One training crop with its labels, and its arrays for a batch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Drawn pictures: the same from the same seed, never twice alike, full of edges."""
+"""Drawn collages: the same from the same seed, never twice alike, full of edges."""
 
 import cv2
 import numpy as np
@@ -8,7 +8,7 @@ from two_view_pose.assets.collage import draw_collage, draw_markers
 
 @pytest.mark.parametrize("draw", [draw_collage, draw_markers])
 @pytest.mark.parametrize("size", [32, 192, 257])
-def test_a_seed_is_a_picture(draw, size):
+def test_a_seed_is_a_image(draw, size):
     first, again, other = (draw(np.random.default_rng(s), size) for s in (1, 1, 2))
     assert first.shape == (size, size, 3) and first.dtype == np.uint8
     assert np.array_equal(first, again) and not np.array_equal(first, other)
@@ -16,18 +16,18 @@ def test_a_seed_is_a_picture(draw, size):
 
 @pytest.mark.slow
 def test_collages_differ_in_color_and_are_full_of_edges():
-    pictures = [draw_collage(np.random.default_rng(s), 192) for s in range(30)]
-    means = np.array([p.reshape(-1, 3).mean(0) for p in pictures])
+    images = [draw_collage(np.random.default_rng(s), 192) for s in range(30)]
+    means = np.array([p.reshape(-1, 3).mean(0) for p in images])
     assert (means.std(0) > 20).all()
-    edges = [cv2.Canny(cv2.cvtColor(p, cv2.COLOR_RGB2GRAY), 50, 150).mean() / 255 for p in pictures]
+    edges = [cv2.Canny(cv2.cvtColor(p, cv2.COLOR_RGB2GRAY), 50, 150).mean() / 255 for p in images]
     assert np.median(edges) > 0.03
-    # No place of the picture is favored: things lie everywhere.
-    gray = np.mean([cv2.cvtColor(p, cv2.COLOR_RGB2GRAY) for p in pictures], axis=0)
+    # No place of the image is favored: things lie everywhere.
+    gray = np.mean([cv2.cvtColor(p, cv2.COLOR_RGB2GRAY) for p in images], axis=0)
     quarters = [gray[:96, :96], gray[:96, 96:], gray[96:, :96], gray[96:, 96:]]
     assert np.ptp([q.mean() for q in quarters]) < 30
 
 
 def test_markers_are_black_on_white():
-    picture = draw_markers(np.random.default_rng(0), 128)
-    assert (picture == picture[..., :1]).all()
-    assert 0.1 < (picture < 64).mean() < 0.8 and (picture > 185).mean() > 0.15
+    image = draw_markers(np.random.default_rng(0), 128)
+    assert (image == image[..., :1]).all()
+    assert 0.1 < (image < 64).mean() < 0.8 and (image > 185).mean() > 0.15

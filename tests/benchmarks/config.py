@@ -71,7 +71,7 @@ class BenchConfig:
     """Write the table as Markdown."""
     figure: Path | None = None
     """Draw cost against size into this PNG."""
-    pictures: Path | None = None
+    images: Path | None = None
     """Also write both renderers' images, side by side, to this PNG."""
 
     def __post_init__(self) -> None:

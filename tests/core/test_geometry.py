@@ -111,3 +111,27 @@ def test_bad_transforms(matrix: np.ndarray, message: str):
 def test_bad_images(image: np.ndarray):
     with pytest.raises(ValueError, match=f"got {image.dtype} of shape"):
         check_image(image)
+
+
+VALID_VIEW = {"image": np.zeros((4, 4, 3), np.uint8), "K": LINEMOD_K, "T_cam_world": np.eye(4)}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"K": np.eye(4)}, "K must be a 3x3"),
+        ({"K": LINEMOD_K * np.nan}, "K has NaN"),
+        ({"K": -LINEMOD_K}, "positive focal"),
+        ({"image": np.zeros((4, 4, 3))}, "image must be uint8"),
+        ({"image": np.zeros((4, 4), np.uint8)}, "image must be uint8"),
+        ({"image": np.zeros((4, 4, 4), np.uint8)}, "image must be uint8"),
+        ({"image": np.zeros((0, 4, 3), np.uint8)}, "image"),
+        ({"T_cam_world": np.diag([2.0, 2, 2, 1])}, "T_cam_world is not rigid"),
+        ({"T_cam_world": np.diag([1.0, 1, -1, 1])}, "T_cam_world is not rigid"),
+        ({"T_cam_world": np.eye(3)}, "T_cam_world must be a 4x4"),
+        ({"T_cam_world": np.full((4, 4), np.nan)}, "T_cam_world has NaN"),
+    ],
+)
+def test_wrong_views_are_refused_by_name(changes, message):
+    with pytest.raises(ValueError, match=message):
+        View(**(VALID_VIEW | changes))

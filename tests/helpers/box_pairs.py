@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
-from helpers.boxes_with_depth import box_depth
+from helpers.boxes import box_depth
 from scipy.spatial.transform import Rotation
 from two_view_pose.core.geometry import LINEMOD_K, crop_matrix, invert, make_transform, project
 from two_view_pose.pose_estimator.training_data.target_sample import TargetSample

@@ -1,4 +1,4 @@
-"""Two small boxes, cameras around them, and flat images of their silhouettes."""
+"""Two small boxes, cameras around them, flat images of their silhouettes, and depth maps."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import trimesh
 from two_view_pose.assets.object_model import ObjectModel
-from two_view_pose.core.geometry import LINEMOD_K, make_transform, project
+from two_view_pose.core.geometry import LINEMOD_K, invert, make_transform, project, transform
 from two_view_pose.pose_estimator.bop.boxes import bounding_box
 from two_view_pose.pose_estimator.bop.dataset import BopAnnotation
 from two_view_pose.pose_estimator.bop.writer import BopFrame
@@ -69,3 +69,17 @@ def flat_frame(
         annotations.append(BopAnnotation(model.obj_id, T_cam_obj, 1.0, box, box, count, count))
         masks.append(mask)
     return BopFrame(rgb, LINEMOD_K, T_cam_world, annotations, masks)
+
+
+def box_depth(
+    model: ObjectModel, T_cam_obj: np.ndarray, K: np.ndarray, shape: tuple[int, int]
+) -> np.ndarray:
+    """Depth (H, W) float32 of a box, 0 outside it, by ray-box intersection (slab method)."""
+    rows, columns = np.indices(shape)
+    rays = np.stack([columns, rows, np.ones(shape)], -1) @ np.linalg.inv(K).T
+    T_obj_cam = invert(T_cam_obj)
+    origin, directions = transform(T_obj_cam, np.zeros(3)), rays @ T_obj_cam[:3, :3].T
+    half = np.abs(model.vertices).max(0)
+    ends = (np.stack([-half, half])[:, None, None] - origin) / directions
+    near, far = ends.min(0).max(-1), ends.max(0).min(-1)
+    return np.where((near < far) & (near > 0), near, 0).astype(np.float32)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from helpers.boxes_with_depth import box_depth
+from helpers.boxes import box_depth
 from scipy.spatial.transform import Rotation
 from two_view_pose.assets.object_model import ObjectModel
 from two_view_pose.core.geometry import invert, make_transform

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from helpers.boxes_with_depth import box_depth
+from helpers.boxes import box_depth
 from helpers.votes import T_WORLD_OBJ, PerfectVotes
 from torch import nn
 from two_view_pose.assets.object_model import ObjectModel

@@ -5,8 +5,6 @@ slowly; tremor is added. Frames at gaps of 1, 5 and 10 have baselines of about 1
 15 to 27 cm, as in the LineMOD sequences of the two-view paper.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,5 @@
 """Samples a hand-held camera path that fits a scene."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ....core.errors import InputError

@@ -4,8 +4,6 @@ Frames alternate left and right: 0 and 1, 2 and 3, ... Each right camera is the 
 its own +x. A point of depth Z is in the same row of both images; its disparity is f b / Z pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

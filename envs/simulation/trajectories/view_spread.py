@@ -1,7 +1,5 @@
 """Samples second views at given angles from a reference view, well separated from each other."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ....core.errors import InputError

@@ -27,8 +27,8 @@ def measure(config: BenchConfig) -> Iterator[Record]:
     frame = draw_all()
     rgb, everything = default_renderer(scene, T_cam_world)
     their_rgb, their_depth, their_geoms = everything()
-    if config.pictures is not None:
-        Image.fromarray(np.hstack([frame.rgb, their_rgb])).save(config.pictures)
+    if config.images is not None:
+        Image.fromarray(np.hstack([frame.rgb, their_rgb])).save(config.images)
     assert frame.depth is not None and frame.instances is not None
     levels = float(np.abs(frame.rgb.astype(int) - their_rgb).mean())
     depths = float(np.median(np.abs(frame.depth - their_depth)))

@@ -4,50 +4,71 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 from helpers import workers
-from two_view_pose.envs.simulation import gl
+
+MISSING = """
+import sys
+class Missing:
+    def find_spec(self, name, *_):
+        if name in {names}: raise AttributeError('no library for ' + name)
+sys.meta_path.insert(0, Missing())
+"""
+"""A program that makes back-ends impossible to import."""
+
+OPEN = "from two_view_pose.envs.simulation import gl; gl.open_context(64, 64)"
 
 
-def test_without_opengl_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(name: str) -> object:
-        raise ImportError(f"no library for {name}")
+def errors(program: str, **environment: str) -> str:
+    """What a Python program prints to its standard error."""
+    inherited = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    return subprocess.run(
+        [sys.executable, "-c", program],
+        env=inherited | environment,
+        capture_output=True,
+        text=True,
+        timeout=100,
+    ).stderr
 
-    monkeypatch.setattr(gl, "_backend", None)
-    monkeypatch.setattr(gl, "_process", None)
-    monkeypatch.setattr(gl, "_forget_platform", lambda: None)
-    monkeypatch.setattr(gl.importlib, "import_module", broken)
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    with pytest.raises(gl.GraphicsUnavailable, match=r"apt-get install .*egl: .*osmesa: "):
+
+def test_without_opengl_the_error_says_what_to_install() -> None:
+    program = MISSING.format(names=("mujoco.egl", "mujoco.osmesa")) + OPEN
+    text = r"GraphicsUnavailable: .*apt-get install .*egl: .*osmesa: "
+    assert re.search(text, errors(program))
+
+
+def test_rendering_that_is_disabled_is_an_error() -> None:
+    assert re.search("GraphicsUnavailable: MUJOCO_GL=off disables", errors(OPEN, MUJOCO_GL="off"))
+
+
+def test_a_process_forked_after_rendering_refuses_to_render() -> None:
+    program = f"""
+import os, sys
+{OPEN}
+if os.fork():
+    os.wait()
+else:
+    try:
         gl.open_context(64, 64)
-    monkeypatch.setenv("MUJOCO_GL", "off")
-    with pytest.raises(gl.GraphicsUnavailable, match="MUJOCO_GL"):
-        gl.open_context(64, 64)
-    monkeypatch.setattr(gl, "_process", -1)
-    with pytest.raises(gl.GraphicsUnavailable, match="forked"):
-        gl.open_context(64, 64)
+    except gl.GraphicsUnavailable as error:
+        print(error, file=sys.stderr, flush=True)
+os._exit(0)  # OpenGL's threads, which the child lacks, would be waited for
+"""
+    assert "this process was forked" in errors(program)
 
 
 @pytest.mark.slow
 def test_a_named_back_end_that_is_missing_is_named_in_the_error() -> None:
-    program = (
-        "import sys\n"
-        "class Missing:\n"
-        "    def find_spec(self, name, *_):\n"
-        "        if name == 'mujoco.osmesa': raise AttributeError('no library')\n"
-        "sys.meta_path.insert(0, Missing())\n"
-        "import two_view_pose.envs.simulation.scene\n"
-    )
-    environment = {**os.environ, "MUJOCO_GL": "osmesa"}
-    run = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True
-    )
-    assert "GraphicsUnavailable" in run.stderr
-    assert "apt-get install -y libosmesa6" in run.stderr
+    program = MISSING.format(names=("mujoco.osmesa",))
+    program += "import two_view_pose.envs.simulation.scene"
+    stderr = errors(program, MUJOCO_GL="osmesa")
+    assert "GraphicsUnavailable" in stderr
+    assert "apt-get install -y libosmesa6" in stderr
 
 
 @pytest.mark.slow

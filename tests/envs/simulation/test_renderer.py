@@ -285,8 +285,7 @@ def test_large_silhouettes_are_complete_and_do_not_enlarge_the_buffer(scene: Sce
     geom = scene.world.object_geoms[scene.world.object_names.index("brick")]
     scene.close()  # another test may have enlarged it
     whole = scene.graphics.silhouette(geom, T_cam_world, K, 1200, 1800)
-    assert scene.graphics._context is not None and scene.state is not None
-    assert scene.graphics._context.offWidth == 640 and scene.graphics._context.offHeight == 480
+    assert scene.graphics.buffer_size == (480, 640) and scene.state is not None
     rows, columns = np.nonzero(whole)
     assert np.ptp(rows) > 480 and np.ptp(columns) > 640  # it lies in several parts
     for top, left in ((300, 500), (470, 630), (700, 1000)):

@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 import torch
-from helpers.boxes_with_depth import box_depth
+from helpers.boxes import box_depth
 from scipy.spatial.transform import Rotation
 from torch import nn
 from two_view_pose.core.geometry import (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from helpers.boxes_with_depth import box_depth
+from helpers.boxes import box_depth
 from scipy.spatial.transform import Rotation
 from two_view_pose.core.geometry import LINEMOD_K, crop_matrix, grid_matrix, make_transform, project
 from two_view_pose.pose_estimator.networks.point_cloud import crop_frame, sample_points
@@ -51,6 +51,16 @@ def test_points_lie_on_the_object_at_their_pixels(boxes, radians):
     np.testing.assert_allclose(cloud.pixels[0].numpy(), pixels, atol=1e-3)
     # Points that half of all are beyond, on each axis.
     np.testing.assert_allclose(cloud.center[0], np.median(cloud.xyz[0], 0), atol=1e-3)
+
+
+def test_points_are_the_same_under_autocast(boxes):
+    K = rotated_crop(0.3)
+    depth = box_depth(boxes["brick"], T_CAM_OBJ, K, (SIDE, SIDE))
+    expected = sample(depth, np.ones((32, 32)), K)
+    with torch.autocast("cpu", torch.bfloat16):
+        found = sample(depth, np.ones((32, 32)), K)
+    for part, other in zip(found, expected, strict=True):
+        assert torch.equal(part, other)
 
 
 def test_crop_frame_follows_the_crops_center_and_rotation():

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from helpers.boxes_with_depth import box_depth
+from helpers.boxes import box_depth
 from scipy.spatial.transform import Rotation
 from torch import nn
 from torch.nn import functional as F

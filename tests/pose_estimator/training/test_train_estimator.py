@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from helpers.boxes_with_depth import box_depth
+from helpers.boxes import box_depth
 from safetensors.torch import load_file
 from two_view_pose import assets, pose_estimator
 from two_view_pose.pose_estimator.bop.dataset import read_dataset, read_mask, read_rgb

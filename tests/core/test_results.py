@@ -1,0 +1,28 @@
+"""Records of results files."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from two_view_pose.core.results import check_record, read_results
+
+
+def test_invalid_records_are_rejected(tmp_path: Path) -> None:
+    good = {"metric": "ratio", "value": np.float32(0.5), "unit": "1", "n": np.int64(3)}
+    assert (
+        json.dumps(check_record(good)) == '{"metric": "ratio", "value": 0.5, "unit": "1", "n": 3}'
+    )
+    for change, message in (
+        ({"value": float("nan")}, "must be finite"),
+        ({"value": True}, "must be a number"),
+        ({"unit": None}, "unit must be text"),
+        ({"tag": [1, 2]}, "tag tag must be"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            check_record({**good, **change})
+    with pytest.raises(ValueError, match="lacks value, unit"):
+        check_record({"metric": "ratio"})
+    (tmp_path / "x.json").write_text("[]")
+    with pytest.raises(ValueError, match="must have the keys"):
+        read_results(tmp_path / "x.json")
