@@ -26,6 +26,11 @@ def test_distribution_loss_is_the_kl_divergence_to_the_gaussian():
     assert float(value) == pytest.approx(float(expected), rel=1e-3)
     own = torch.log_softmax(-squared / (2 * 0.03**2), -1)
     assert float(distribution_loss(own, cells, keypoints, torch.tensor([0.03]))) < 1e-4
+    reverse = kl_divergence(Categorical(logits=logits), target).mean()
+    value = distribution_loss(
+        torch.log_softmax(logits, -1), cells, keypoints, torch.tensor([0.03]), predicted_first=True
+    )
+    assert float(value) == pytest.approx(float(reverse), rel=1e-3) != pytest.approx(float(expected))
 
 
 def test_pose_loss_of_a_known_rotation_and_translation():

@@ -15,10 +15,15 @@ from two_view_pose.pose_estimator.networks.volume import PRESETS, LevelConfig
 from two_view_pose.pose_estimator.networks.weights import read_header, read_networks, save_weights
 from two_view_pose.pose_estimator.training import config as training_config
 from two_view_pose.pose_estimator.training.config import TrainEstimatorConfig
-from two_view_pose.pose_estimator.training.train_estimator import train_estimator
+from two_view_pose.pose_estimator.training.stages import DecoderStage
+from two_view_pose.pose_estimator.training.train_estimator import (
+    start_networks,
+    train_estimator,
+)
 from two_view_pose.pose_estimator.training.volume_stage import VolumeStage
 from two_view_pose.pose_estimator.training_data.crops import CropPack
 from two_view_pose.pose_estimator.training_data.cut_and_paste import CropPaster, CutAndPasteConfig
+from two_view_pose.pose_estimator.training_data.dataset import TrainingSet
 
 
 @pytest.fixture
@@ -107,6 +112,33 @@ def test_pose_noise_and_cut_and_paste_options_reach_the_stage(
     assert len(pasted) == 1
 
 
+def test_encoders_are_trained_from_the_stage_that_is_asked_for(dataset, finished, tmp_path):
+    for stages in (0, 2):
+        config = TrainEstimatorConfig(
+            data=dataset, out=tmp_path, init=str(finished), frozen_stages=stages
+        )
+        encoder = start_networks(config).features.encoder
+        frozen = {n.split(".")[0] for n, p in encoder.named_parameters() if not p.requires_grad}
+        assert ("stem" in frozen) == (stages > 0)
+        trained = [all(p.requires_grad for p in stage.parameters()) for stage in encoder.stages]
+        assert all(trained) if stages == 0 else not any(trained)  # depthwise filters are frozen
+
+
+def test_a_larger_batch_of_the_decoders_shows_more_objects(pack, boxes):
+    networks = PoseNetworks(boxes)
+    training = TrainingSet(pack, boxes, networks.features.config)
+    for scale, count in ((1, 1), (2, 2)):
+        settings = TrainEstimatorConfig(Path(), Path(), batch_scale=scale).stage(
+            "decoders", len(boxes)
+        )
+        assert settings.batch == 32 * scale
+        stage = DecoderStage(
+            networks, training, training, steps=1, batch=settings.batch, learning_rate=1.0, seed=0
+        )
+        objects = next(stage.batches(0))["object"]
+        assert len(objects) == settings.batch and len(objects.unique()) == count
+
+
 @pytest.mark.slow
 def test_a_new_volume_keeps_the_other_parts(
     dataset: Path, pack: CropPack, boxes, tmp_path: Path, monkeypatch
@@ -135,6 +167,8 @@ def test_a_new_volume_keeps_the_other_parts(
         ({"workers": -1}, "workers must be >= 0, got -1"),
         ({"max_minutes": float("inf")}, "max_minutes must be >= 0, got inf"),
         ({"lr_cycles": 0}, "lr_cycles must be >= 1, got 0"),
+        ({"batch_scale": 0}, "batch_scale must be >= 1, got 0"),
+        ({"frozen_stages": -1}, "frozen_stages must be >= 0, got -1"),
         ({"cut_and_paste": 1.2}, "cut_and_paste must be 0 to 1, got 1.2"),
     ],
 )

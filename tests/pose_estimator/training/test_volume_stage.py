@@ -84,6 +84,26 @@ def test_the_pose_loss_trains_the_features(stage, pairs):
     assert all(p.grad is None for p in frozen)
 
 
+@pytest.mark.slow
+def test_end_to_end_training_reaches_all_features_that_are_not_frozen(pack, boxes):
+    torch.manual_seed(0)
+    networks = PoseNetworks(boxes)
+    networks.features.encoder.freeze(2)
+    frozen = {n for n, p in networks.features.named_parameters() if not p.requires_grad}
+    training = TrainingSet(pack, boxes, networks.features.config, None)
+    stage = VolumeStage(
+        networks, training, training, steps=1, batch=2, learning_rate=1.0, seed=0,
+        tune_features=True,
+    )  # fmt: skip
+    stage.bfloat16 = False
+    loss, terms = stage.loss(drawn(stage))
+    loss.backward()
+    assert {"fine_kl", "pose", "mask", "direction"} <= terms.keys()
+    without = {n for n, p in networks.features.named_parameters() if p.grad is None}
+    assert frozen and without == frozen
+    assert set(stage.module.state_dict()) > {f"features.{name}" for name in frozen}
+
+
 def test_pose_noise_moves_the_second_view_and_nothing_else(stage, monkeypatch):
     seen = []
 
