@@ -6,24 +6,23 @@ import numpy as np
 
 from ..solvers.linear_triangulation import triangulate_linearly
 from ..types import PoseEstimate
-from .symmetry_agreement import resolve_symmetry_ambiguity
-from .two_view import Sighting, TwoViewEstimator
+from .estimator import KeypointEstimator, Sighting
 
 
-class LateFusionEstimator(TwoViewEstimator):
+class LateFusionEstimator(KeypointEstimator):
     """Late Fusion: triangulates the voted keypoints of the views."""
 
-    def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
-        return [self._triangulated(sighting) for sighting in sightings]
+    keypoints_from_votes = True
 
-    def _triangulated(self, sighting: Sighting) -> PoseEstimate:
-        agreed, _ = resolve_symmetry_ambiguity(
-            sighting.encoded, self.networks.objects[sighting.object_name]
-        )
-        keypoints, covariance = triangulate_linearly(
-            np.stack([e.vote_mean for e in agreed]),
-            np.stack([e.vote_covariance for e in agreed]),
-            [e.K_grid for e in agreed],
-            [e.view.T_cam_world for e in agreed],
-        )
-        return self.answer(sighting, keypoints, covariance, weigh=True)
+    def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
+        answers = []
+        for sighting in sightings:
+            views, _ = sighting.consistent
+            keypoints, covariance = triangulate_linearly(
+                np.stack([e.vote_mean for e in views]),
+                np.stack([e.vote_covariance for e in views]),
+                [e.K_grid for e in views],
+                [e.view.T_cam_world for e in views],
+            )
+            answers.append(self.answer(sighting, keypoints, covariance))
+        return answers
