@@ -21,7 +21,6 @@ class Finding:
 
     Attributes:
         severity: ``error`` if the data is unusable, ``warning`` if it may be intended.
-        file: the file.
         field: the field of the file, or a part of it such as ``pixels``.
         problem: the problem, in the same words wherever it occurs.
         cause: the probable cause.
