@@ -31,9 +31,6 @@ class BopResult:
     """One estimate: a row of the file.
 
     Attributes:
-        scene_id: the scene's id.
-        image_id: the image's id in its scene.
-        obj_id: the object's id.
         score: confidence; only the order within a file is meaningful.
         T_cam_obj: object to camera, (4, 4), meters.
         seconds: run time for all objects of the image, or `UNKNOWN_TIME`.
@@ -109,8 +106,6 @@ def read_bop_results(
             )
         rows.append(dict(zip(_COLUMNS, cells, strict=True)))
         places.append(place)
-    if not rows:
-        return ()
     poses = [{"R": row["R"].split(), "t": row["t"].split()} for row in rows]
     T_cam_obj = read_transforms(poses, ("R", "t"), path, places)
     rigid(T_cam_obj, lambda i: f"{path}, {places[i]}: field 'R'")
