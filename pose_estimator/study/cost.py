@@ -11,8 +11,8 @@ import numpy as np
 
 from ...core.cpu_cores import available_cores
 from ...core.geometry import View
+from ..evaluation.evaluate_pairs import Estimator
 from ..fusion.batching import estimate_all
-from .measure import Estimator
 
 BATCH = 16
 

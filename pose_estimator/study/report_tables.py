@@ -73,13 +73,12 @@ def recall_table(records: Records, scene: str) -> Table | None:
     if not recalls:
         return None
     rows = []
+    paper = {"mean": _paper_cell("add_s_recall", scene, BEST_GAP, "%")}
     for name in [*sorted({r["object"] for r in recalls} - {"mean"}), "mean"]:
         results = [find(recalls, method=method, object=name) for method in METHODS]
-        paper = Cell(published=True)
-        if name == "mean":
-            paper = _paper_cell("add_s_recall", scene, BEST_GAP, "%")
         pairs = max(r["n"] for r in results if r is not None)
-        rows.append([Cell(name), *_ranked(results, "%", max), paper, Cell(str(pairs))])
+        cells = [*_ranked(results, "%", max), paper.get(name, Cell(published=True))]
+        rows.append([Cell(name), *cells, Cell(str(pairs))])
     gains = [
         f"{_format(r['value'], 'points')} points over {r['against']} "
         f"({_interval(r, 'points') or 'no interval'})"

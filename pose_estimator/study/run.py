@@ -9,6 +9,7 @@ from ...core.device import resolve_device
 from ...core.errors import InputError
 from ...core.results import commit
 from ..bop.pairs import PAIRS_FILE
+from ..evaluation.evaluate_pairs import Estimator
 from ..fusion.loading import load
 from ..methods import METHOD_TABLE, PARTS
 from ..networks.container import PoseNetworks
@@ -17,7 +18,7 @@ from .config import CompareConfig
 from .cost import measure_cost
 from .gallery import draw_gallery, timed_pairs
 from .log import OutcomeLog, PairOutcome
-from .measure import OUTCOME_FORMAT, Estimator, StudySet, measure_run
+from .measure import OUTCOME_FORMAT, StudySet, measure_run
 from .plan import DEFAULT_WEIGHTS, NO_POSE_LOSS, NOISY, Run, plan
 from .tables import Record, tables
 
