@@ -80,14 +80,11 @@ def _check_matrix(
 
 def _explain(K: np.ndarray, size: tuple[int, int]) -> tuple[str, str]:
     """Returns the probable cause of an implausible principal point, and the remedy."""
-    height, width = size
-    fx, fy = K[0, 0], K[1, 1]
-    share = np.array([K[0, 2] / width, K[1, 2] / height])
-    middle = abs(fx / width - 0.5) < 0.15 and abs(fy / height - 0.5) < 0.15
-    if middle and abs(K[0, 2] / K[1, 2] - 1) < 0.1:
+    (fx, _, cx), (_, fy, cy) = K[:2] / np.array([[size[1]], [size[0]]])
+    if max(abs(fx - 0.5), abs(fy - 0.5)) < 0.15 and abs(K[0, 2] / K[1, 2] - 1) < 0.1:
         return "focal lengths and principal point are swapped", WRITE_K
-    scale = 2 * share.mean()
-    if (share > 0).all() and abs(share[0] / share[1] - 1) < 0.3 and not 0.7 < scale < 1.4:
+    scale = cx + cy
+    if min(cx, cy) > 0 and abs(cx / cy - 1) < 0.3 and not 0.7 < scale < 1.4:
         return (
             f"it is the matrix of images {scale:.2g} times as large",
             f"divide fx, fy, cx and cy by {scale:.2g}, or use images of the calibrated size",

@@ -81,21 +81,19 @@ def _wrong_distances(
         behind = valid & (translation[:, 2] <= 0) & ~near
     for row in np.flatnonzero(near | far).tolist():
         remedy = "write the object's origin in the camera frame, in millimeters"
-        meters = near[row] and MIN_DISTANCE < 1000 * ratio[row] < MAX_DISTANCE
         where = f"{1e3 * np.linalg.norm(translation[row]):.4g} mm from the camera"
         size = f"an object of {1e3 * diameters[row]:.4g} mm"
-        if meters:
+        if near[row] and MIN_DISTANCE < 1000 * ratio[row] < MAX_DISTANCE:
             cause, remedy = "it is in meters; BOP has millimeters", "multiply cam_t_m2c by 1000"
         elif near[row]:
             cause = "the pose was never filled in, or maps camera to object"
         else:
-            cause = "it was scaled by 1000 twice"
-            remedy = "divide cam_t_m2c by 1000"
+            cause, remedy = "it was scaled by 1000 twice", "divide cam_t_m2c by 1000"
         findings.error(
             scene.gt_path, "cam_t_m2c",
             "the camera is inside the object" if near[row] else "the object is too far away",
-            place=scene.place(row), detail=f"{size}, {where}", cause=cause,
-            remedy=remedy,
+            place=scene.place(row), detail=f"{size}, {where}",
+            cause=cause, remedy=remedy,
         )  # fmt: skip
     for row in np.flatnonzero(behind).tolist():
         findings.error(
