@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from tqdm import tqdm
 
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
@@ -87,8 +88,6 @@ def evaluate_pairs(
     Raises:
         InputError: if ``depth`` is set and the dataset has none.
     """
-    from tqdm import tqdm
-
     cases = list(enumerate(target_pairs(pairs, objects, targets, baselines)))
     scenes = lru_cache(maxsize=2)(dataset.scene)
     size = batch_size(estimator)

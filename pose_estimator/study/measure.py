@@ -14,6 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
@@ -77,8 +78,6 @@ def measure_run(
     Raises:
         InputError: if the test has no pair of the run, or lacks what the method needs.
     """
-    from tqdm import tqdm
-
     work = choose_pairs(run, test.pairs, objects)
     if not work:
         raise InputError(f"the {run.test} test has no pair for {run.method}, gaps {run.gaps}")
