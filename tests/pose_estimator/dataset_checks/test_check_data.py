@@ -176,7 +176,7 @@ def test_names_are_found_below_bop_path(data, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("option", ["scenes", "images", "overlays"])
-def test_negative_options_are_refused(option, valid, capsys):
+def test_negative_options_are_rejected(option, valid, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["check-data", str(valid), f"--{option}", "-1"])
     assert stop.value.code == 2
