@@ -46,12 +46,22 @@ def write_coco(folder: Path, obj_ids: Iterable[int]) -> None:
             visible = _mask(folder / "mask_visib" / name)
             shape = visible.shape
             if visible.any():
-                amodal = _mask(folder / "mask" / name)
-                entry = _annotation(
-                    visible, amodal, ignore=info["visib_fract"] < MIN_VISIBLE_FRACTION
+                left, top, width, height = bounding_box(_mask(folder / "mask" / name))
+                annotations.append(
+                    {
+                        "id": len(annotations) + 1,
+                        "image_id": image_id,
+                        "category_id": int(pose["obj_id"]),
+                        "iscrowd": 0,
+                        "ignore": info["visib_fract"] < MIN_VISIBLE_FRACTION,
+                        "area": int(np.count_nonzero(visible)),
+                        # COCO counts the columns covered.
+                        "bbox": [left, top, width + 1, height + 1],
+                        "segmentation": encode_rle(visible),
+                        "width": shape[1],
+                        "height": shape[0],
+                    }
                 )
-                ids = {"id": len(annotations) + 1, "image_id": image_id}
-                annotations.append(ids | {"category_id": int(pose["obj_id"])} | entry)
         height, width = _mask(paths[image_id]).shape if shape is None else shape
         image = {"id": image_id, "file_name": f"rgb/{paths[image_id].name}", "license": 1}
         images.append(image | {"width": width, "height": height})
@@ -72,19 +82,6 @@ def encode_rle(mask: np.ndarray) -> dict[str, list[int]]:
     changes = np.flatnonzero(np.diff(pixels)) + 1
     counts = np.diff(changes, prepend=0, append=pixels.size).tolist()
     return {"counts": [0, *counts] if pixels[0] else counts, "size": list(mask.shape)}
-
-
-def _annotation(visible: np.ndarray, amodal: np.ndarray, ignore: bool) -> dict[str, Any]:
-    left, top, width, height = bounding_box(amodal)
-    return {
-        "iscrowd": 0,
-        "ignore": ignore,
-        "area": int(np.count_nonzero(visible)),
-        "bbox": [left, top, width + 1, height + 1],  # COCO counts the columns covered
-        "segmentation": encode_rle(visible),
-        "width": visible.shape[1],
-        "height": visible.shape[0],
-    }
 
 
 def _mask(path: Path) -> np.ndarray:

@@ -27,7 +27,6 @@ class BopAnnotation:
     """One object in one image.
 
     Attributes:
-        obj_id: the object's id.
         T_cam_obj: object to camera, (4, 4), meters.
         visibility: visible fraction of the silhouette, 0 to 1; pixels outside the image count as
             invisible.
@@ -55,9 +54,6 @@ class BopImage:
     """One image, its camera and the objects in it.
 
     Attributes:
-        scene_id: the scene's id.
-        image_id: the image's id in its scene.
-        rgb_path: the image.
         depth_path: its depth map, or None.
         depth_scale: millimeters per unit of the depth map.
         K: camera matrix in pixels, (3, 3).
@@ -108,7 +104,29 @@ class BopDataset:
                 f"scene {scene_id} is not in {self.root / self.split}, which holds "
                 f"{len(self.scene_ids)} scenes from {self.scene_ids[0]} to {self.scene_ids[-1]}"
             )
-        return _read_scene(self.root / self.split / f"{scene_id:06d}", scene_id)
+        scene = read_scene(self.root / self.split / f"{scene_id:06d}", scene_id)
+        assert scene is not None  # read_scene raises where it has no scene
+        annotations = _annotations(scene)
+        path = scene.camera_path
+        known = ~np.isnan(scene.T_cam_world[:, 0, 0])
+        ids = scene.image_id[known].tolist()
+        worlds = rigid(scene.T_cam_world[known], lambda i: f"{path}: image {ids[i]}: world")
+        T_cam_world = dict(zip(ids, worlds, strict=True))
+        return {
+            image_id: BopImage(
+                scene_id=scene_id,
+                image_id=image_id,
+                rgb_path=scene.images[image_id],
+                depth_path=scene.depths.get(image_id),
+                depth_scale=float(scale),
+                K=check_intrinsics(K, f"{path}: image {image_id}: field 'cam_K'"),
+                T_cam_world=T_cam_world.get(image_id),
+                annotations=tuple(annotations.get(image_id, ())),
+            )
+            for image_id, scale, K in zip(
+                scene.image_id.tolist(), scene.depth_scale, scene.K, strict=True
+            )
+        }
 
 
 def read_dataset(root: str | Path, split: str = "test") -> BopDataset:
@@ -161,32 +179,6 @@ def read_mask(annotation: BopAnnotation) -> np.ndarray:
     if annotation.mask_visib_path is None:
         raise InputError(f"the dataset has no mask of object {annotation.obj_id}")
     return read_image(annotation.mask_visib_path, "L") > 0
-
-
-def _read_scene(folder: Path, scene_id: int) -> dict[int, BopImage]:
-    scene = read_scene(folder, scene_id)
-    assert scene is not None  # read_scene raises where it has no scene
-    annotations = _annotations(scene)
-    path = scene.camera_path
-    known = ~np.isnan(scene.T_cam_world[:, 0, 0])
-    ids = scene.image_id[known].tolist()
-    worlds = rigid(scene.T_cam_world[known], lambda i: f"{path}: image {ids[i]}: world")
-    T_cam_world = dict(zip(ids, worlds, strict=True))
-    return {
-        image_id: BopImage(
-            scene_id=scene_id,
-            image_id=image_id,
-            rgb_path=scene.images[image_id],
-            depth_path=scene.depths.get(image_id),
-            depth_scale=float(scale),
-            K=check_intrinsics(K, f"{path}: image {image_id}: field 'cam_K'"),
-            T_cam_world=T_cam_world.get(image_id),
-            annotations=tuple(annotations.get(image_id, ())),
-        )
-        for image_id, scale, K in zip(
-            scene.image_id.tolist(), scene.depth_scale, scene.K, strict=True
-        )
-    }
 
 
 def _annotations(scene: Scene) -> dict[int, list[BopAnnotation]]:

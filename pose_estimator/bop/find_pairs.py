@@ -124,10 +124,8 @@ class _Scene:
                 if shown[i].count(a.obj_id) == 1:
                     self.T[i, column[a.obj_id]] = a.T_cam_obj
                     self.visibility[i, column[a.obj_id]] = a.visibility
-        self.T_cam_world: np.ndarray | None = None
         worlds = [image.T_cam_world for image in images if image.T_cam_world is not None]
-        if worlds and len(worlds) == len(images):
-            self.T_cam_world = np.stack(worlds)
+        self.T_cam_world = np.stack(worlds) if 0 < len(worlds) == len(images) else None
 
     def motions(self, reference: int) -> tuple[np.ndarray, np.ndarray]:
         """Returns T_second_ref (N, 4, 4) for each second view, and static objects, bool (N, O)."""

@@ -87,20 +87,15 @@ def _infos(objects: Iterable[ObjectModel]) -> dict[str, dict[str, Any]]:
                 f"objects {other!r} and {model.name!r} share the id {model.obj_id}, which "
                 "comes from their files' names: rename one of these"
             )
-        infos[str(model.obj_id)] = _info(model)
+        entry: dict[str, Any] = {"name": model.name, "diameter": model.diameter * MM}
+        for name, lengths in (("min", model.vertices.min(axis=0)), ("size", model.extents)):
+            entry |= {f"{name}_{x}": float(v) for x, v in zip("xyz", lengths * MM, strict=True)}
+        if model.symmetric:
+            symmetries = np.array(model.symmetries[1:], dtype=np.float64)
+            symmetries[:, :3, 3] *= MM
+            entry["symmetries_discrete"] = symmetries.reshape(-1, 16).tolist()
+        infos[str(model.obj_id)] = entry
     return infos
-
-
-def _info(model: ObjectModel) -> dict[str, Any]:
-    minimum, extents = model.vertices.min(axis=0) * MM, model.extents * MM
-    entry: dict[str, Any] = {"name": model.name, "diameter": model.diameter * MM}
-    entry |= {f"min_{axis}": float(v) for axis, v in zip("xyz", minimum, strict=True)}
-    entry |= {f"size_{axis}": float(v) for axis, v in zip("xyz", extents, strict=True)}
-    if model.symmetric:
-        symmetries = np.array(model.symmetries[1:], dtype=np.float64)
-        symmetries[:, :3, 3] *= MM
-        entry["symmetries_discrete"] = symmetries.reshape(-1, 16).tolist()
-    return entry
 
 
 def _textured_ply(model: ObjectModel, texture: str) -> bytes:

@@ -20,7 +20,6 @@ class BopModelInfo:
     """One object's entry of ``models_info.json``.
 
     Attributes:
-        obj_id: its id.
         name: its name, or None (not a field of BOP).
         diameter: largest distance between two surface points, meters.
         minimum: lower corner of the bounding box, (3,), meters.

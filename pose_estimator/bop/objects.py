@@ -24,7 +24,6 @@ class EvaluationObject:
     """One object of a dataset, geometry only.
 
     Attributes:
-        obj_id: its id.
         name: its name, or ``obj_000005`` where the dataset has none.
         points: (N, 3) the vertices of its mesh, meters, as bop_toolkit uses.
         diameter: largest distance between two surface points, meters.
@@ -70,11 +69,9 @@ def _load_object(name_or_path: str | Path) -> ObjectModel:
         return assets.load_object(name_or_path)
     from ...assets.mesh_import import import_mesh
 
-    name = name or info.name
+    name, symmetries = name or info.name, info.symmetries
     try:
-        return import_mesh(
-            path, name, unit="mm", symmetries=info.symmetries, diameter=info.diameter
-        )
+        return import_mesh(path, name, unit="mm", symmetries=symmetries, diameter=info.diameter)
     except ValueError as error:
         raise InputError(f"{error}; see {info_path}") from error
 

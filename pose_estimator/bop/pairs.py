@@ -19,7 +19,6 @@ class BopPair:
     """Two images of one scene between which the listed objects did not move.
 
     Attributes:
-        scene_id: the scene's id.
         ref_image_id: the reference view.
         second_image_id: the second view.
         T_second_ref: reference camera to second camera, (4, 4), meters.

@@ -31,9 +31,6 @@ class BopResult:
     """One estimate: a row of the file.
 
     Attributes:
-        scene_id: the scene's id.
-        image_id: the image's id in its scene.
-        obj_id: the object's id.
         score: confidence; only the order within a file is meaningful.
         T_cam_obj: object to camera, (4, 4), meters.
         seconds: run time for all objects of the image, or `UNKNOWN_TIME`.
@@ -109,8 +106,6 @@ def read_bop_results(
             )
         rows.append(dict(zip(_COLUMNS, cells, strict=True)))
         places.append(place)
-    if not rows:
-        return ()
     poses = [{"R": row["R"].split(), "t": row["t"].split()} for row in rows]
     T_cam_obj = read_transforms(poses, ("R", "t"), path, places)
     rigid(T_cam_obj, lambda i: f"{path}, {places[i]}: field 'R'")
@@ -121,15 +116,10 @@ def read_bop_results(
     results = []
     for i, row in enumerate(rows):
         where = f"{path}, {places[i]}"
-        scene_id, image_id, obj_id = (
-            _integer(row[name], f"{where}: {name}") for name in ("scene_id", "im_id", "obj_id")
-        )
-        if images is not None:
-            _check_known(scene_id, images, f"{where}: scene_id", "scenes")
-            _check_known(image_id, images[scene_id], f"{where}: im_id", f"scene {scene_id}")
-        if obj_ids is not None:
-            _check_known(obj_id, obj_ids, f"{where}: obj_id", "objects")
-        ids = scene_id, image_id, obj_id
+        scene_id = _id(row["scene_id"], images, f"{where}: scene_id", "scenes")
+        of_scene = None if images is None else images[scene_id]
+        image_id = _id(row["im_id"], of_scene, f"{where}: im_id", f"scene {scene_id}")
+        ids = scene_id, image_id, _id(row["obj_id"], obj_ids, f"{where}: obj_id", "objects")
         results.append(BopResult(*ids, float(score[i]), T_cam_obj[i], float(seconds[i])))
     return tuple(results)
 
@@ -163,14 +153,12 @@ def _numbers(values: np.ndarray) -> str:
     return " ".join(map(repr, values.ravel().tolist()))
 
 
-def _integer(value: str, where: str) -> int:
+def _id(value: str, known: Collection[int] | None, where: str, what: str) -> int:
     try:
-        return int(value)
+        number = int(value)
     except ValueError as error:
         raise InputError(f"{where}: expected an integer, got {value!r}") from error
-
-
-def _check_known(number: int, known: Collection[int], where: str, what: str) -> None:
-    if number not in known:
+    if known is not None and number not in known:
         some = ", ".join(map(str, sorted(known)[:8])) + (", ..." if len(known) > 8 else "")
         raise InputError(f"{where} {number} is not in the dataset, whose {what} has {some}")
+    return number

@@ -54,8 +54,6 @@ class Scene:
     """The readable part of one scene.
 
     Attributes:
-        scene_id: the scene's id.
-        folder: its folder.
         image_id: (M,) images that scene_camera.json lists, ascending.
         K: (M, 3, 3).
         depth_scale: (M,) millimeters per unit of the depth maps.

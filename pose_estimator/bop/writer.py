@@ -165,13 +165,15 @@ def _write_pixels(
     shape = rgb.shape[:2]
     suffix = "png" if jpeg_quality is None else "jpg"
     options = () if jpeg_quality is None else (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality)
-    _write_image(folder / "rgb" / f"{image_id:06d}.{suffix}", rgb[..., ::-1], options)
+    path = folder / "rgb" / f"{image_id:06d}.{suffix}"
+    path.write_bytes(encode_image(path, rgb[..., ::-1], options))
     if frame.depth is not None:
         if frame.depth.shape != shape or not np.isfinite(frame.depth).all():
             raise InputError(f"depth of {name} must be finite and of shape {shape}")
         (folder / "depth").mkdir(exist_ok=True)
         steps = np.clip(np.round(frame.depth * (MM / DEPTH_SCALE)), 0, 65535).astype(np.uint16)
-        _write_image(folder / "depth" / f"{image_id:06d}.png", steps)
+        path = folder / "depth" / f"{image_id:06d}.png"
+        path.write_bytes(encode_image(path, steps))
     count = len(frame.annotations)
     for kind, masks in (("mask_visib", frame.masks), ("mask", frame.silhouettes)):
         if masks is None:
@@ -184,7 +186,7 @@ def _write_pixels(
         (folder / kind).mkdir(exist_ok=True)
         for i, mask in enumerate(masks):
             path = folder / kind / f"{image_id:06d}_{i:06d}.png"
-            _write_image(path, mask.astype(np.uint8) * 255, _BILEVEL)
+            path.write_bytes(encode_image(path, mask.astype(np.uint8) * 255, _BILEVEL))
 
 
 def _camera_entry(frame: BopFrame, name: str) -> dict[str, Any]:
@@ -201,9 +203,7 @@ def _pose_entry(annotation: BopAnnotation, name: str) -> dict[str, Any]:
 
 
 def _info_entries(frame: BopFrame) -> list[dict[str, Any]]:
-    valid = frame.px_counts_valid
-    if valid is None:
-        valid = [annotation.px_count_all for annotation in frame.annotations]
+    valid = frame.px_counts_valid or [a.px_count_all for a in frame.annotations]
     return [
         {
             "bbox_obj": [*map(int, annotation.bbox_obj)],
@@ -215,10 +215,6 @@ def _info_entries(frame: BopFrame) -> list[dict[str, Any]]:
         }
         for annotation, count in zip(frame.annotations, valid, strict=True)
     ]
-
-
-def _write_image(path: Path, image: np.ndarray, options: Sequence[int] = ()) -> None:
-    path.write_bytes(encode_image(path, image, options))
 
 
 def encode_image(path: Path, image: np.ndarray, options: Sequence[int] = ()) -> bytes:

@@ -2,5 +2,5 @@
 
 `checks` runs all checks in order; each of `files`, `cameras`, `models`, `poses`, `boxes`, `images`,
 `depth`, `projection` and `pairs` is one group of them. `pose_mistakes` lists the mistakes that
-explain a wrong projection. `findings` collects, `report` prints, `overlays` draws them.
+explain a wrong projection. `findings` collects, `check_data` prints, `overlays` draws them.
 """

@@ -1,12 +1,10 @@
 """Checks boxes, pixel counts and visible fractions of ``scene_gt_info.json``, and masks."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
 from ..bop.boxes import bounding_box
-from ..bop.fields import Place
 from ..bop.scene import RECOMPUTE_INFO, Scene
 from .findings import Findings, Severity
 
@@ -76,29 +74,22 @@ def _check_box(scene: Scene, size: tuple[int, int], complain: Callable[..., None
 
 
 def check_mask(
-    path: Path,
-    mask: np.ndarray,
-    shape: tuple[int, int],
-    info_path: Path,
-    info: tuple[np.ndarray, float, float],
-    place: Place,
-    findings: Findings,
+    scene: Scene, row: int, mask: np.ndarray, shape: tuple[int, int], findings: Findings
 ) -> bool:
     """Compares a visible mask with its image and with its entry of ``scene_gt_info.json``.
 
     Args:
-        path: the mask's file.
+        scene: the scene.
+        row: row of its annotations.
         mask: bool (H, W).
         shape: height and width of the image.
-        info_path: ``scene_gt_info.json``.
-        info: bbox_visib (4,), px_count_visib and visib_fract, NaN where unknown.
-        place: of the annotation.
         findings: receives the findings.
 
     Returns:
         Whether the mask has the image's size and is not empty.
     """
-    box, count, visibility = info
+    rows, path, place = scene.annotations, scene.mask_path(row), scene.place(row)
+    box, visibility = rows.bbox_visib[row], rows.visibility[row]
     if mask.shape != shape:
         findings.error(
             path, "size", "the mask's size differs from the image's", place=place,
@@ -123,13 +114,14 @@ def check_mask(
         if np.abs(box - ends).max() <= SLACK:
             cause, remedy = CORNERS, FIX_CORNERS
         findings.error(
-            info_path, "bbox_visib", "does not match the mask", place=place,
+            scene.info_path, "bbox_visib", "does not match the mask", place=place,
             detail=f"{box.astype(int).tolist()}, the mask's box is {found.tolist()}",
             cause=cause, remedy=remedy,
         )  # fmt: skip
-    elif abs(count - pixels) > 0.1 * pixels + 20:
+    elif abs(rows.px_count_visib[row] - pixels) > 0.1 * pixels + 20:
         findings.warning(
-            info_path, "px_count_visib", "does not match the mask", place=place,
-            detail=f"{count:.0f}, the mask has {pixels} pixels", remedy=RECOMPUTE_INFO,
+            scene.info_path, "px_count_visib", "does not match the mask", place=place,
+            detail=f"{rows.px_count_visib[row]:.0f}, the mask has {pixels} pixels",
+            remedy=RECOMPUTE_INFO,
         )  # fmt: skip
     return True

@@ -8,11 +8,10 @@ from ...core.geometry import check_intrinsics
 from ..bop.fields import ROTATION_TOLERANCE, Place, read_json, read_numbers, rotation_errors
 from ..bop.scene import Scene
 from .findings import Finding, Findings, Severity
+from .pose_mistakes import WRITE_K
 
 MIDDLE = (0.25, 0.75)
 """Range of a plausible principal point, as fractions of the image's sides."""
-
-WRITE_K = "write fx, 0, cx, 0, fy, cy, 0, 0, 1"
 
 
 def check_cameras(scene: Scene, size: tuple[int, int] | None, findings: Findings) -> None:
@@ -52,7 +51,6 @@ def _check_matrix(
 ) -> tuple[Severity, str, str, str, str] | None:
     """Returns severity, problem, cause, remedy and detail of an invalid camera matrix, or None."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    written = f"fx {fx:.6g}, fy {fy:.6g}, cx {cx:.6g}, cy {cy:.6g}"
     try:
         check_intrinsics(K)
     except ValueError:
@@ -62,9 +60,9 @@ def _check_matrix(
     if size is None:
         return None
     height, width = size
-    pixels = f"{written} for images of {width}x{height}"
+    pixels = f"fx {fx:.6g}, fy {fy:.6g}, cx {cx:.6g}, cy {cy:.6g} for images of {width}x{height}"
     share = np.array([cx / width, cy / height])
-    if not (share >= 0).all() or not (share <= 1 - 1e-9).all():
+    if (share < 0).any() or (share > 1 - 1e-9).any():
         problem = "the principal point is outside the image"
         return "error", problem, *_explain(K, size), pixels
     if max(fx, fy) < 0.1 * width:
@@ -74,7 +72,7 @@ def _check_matrix(
     if not 0.8 < fx / fy < 1.25:
         cause = "the image was stretched, or the numbers are in another order"
         return "warning", "fx and fy differ by more than 25 %", cause, WRITE_K, pixels
-    if not (MIDDLE[0] <= share).all() or not (share <= MIDDLE[1]).all():
+    if (share < MIDDLE[0]).any() or (share > MIDDLE[1]).any():
         problem = "the principal point is far from the image center"
         return "warning", problem, *_explain(K, size), pixels
     return None
@@ -82,14 +80,11 @@ def _check_matrix(
 
 def _explain(K: np.ndarray, size: tuple[int, int]) -> tuple[str, str]:
     """Returns the probable cause of an implausible principal point, and the remedy."""
-    height, width = size
-    fx, fy = K[0, 0], K[1, 1]
-    share = np.array([K[0, 2] / width, K[1, 2] / height])
-    middle = abs(fx / width - 0.5) < 0.15 and abs(fy / height - 0.5) < 0.15
-    if middle and abs(K[0, 2] / K[1, 2] - 1) < 0.1:
+    (fx, _, cx), (_, fy, cy) = K[:2] / np.array([[size[1]], [size[0]]])
+    if max(abs(fx - 0.5), abs(fy - 0.5)) < 0.15 and abs(K[0, 2] / K[1, 2] - 1) < 0.1:
         return "focal lengths and principal point are swapped", WRITE_K
-    scale = 2 * share.mean()
-    if (share > 0).all() and abs(share[0] / share[1] - 1) < 0.3 and not 0.7 < scale < 1.4:
+    scale = cx + cy
+    if min(cx, cy) > 0 and abs(cx / cy - 1) < 0.3 and not 0.7 < scale < 1.4:
         return (
             f"it is the matrix of images {scale:.2g} times as large",
             f"divide fx, fy, cx and cy by {scale:.2g}, or use images of the calibrated size",
@@ -111,20 +106,3 @@ def read_camera_size(root: Path, findings: Findings) -> tuple[int, int] | None:
     if np.isnan(values[:2]).any():
         return None
     return int(values[0]), int(values[1])
-
-
-def check_size(
-    image_path: Path,
-    size: tuple[int, int],
-    expected: tuple[int, int] | None,
-    place: Place,
-    findings: Findings,
-) -> None:
-    """Compares one image's size (H, W) with ``camera.json``."""
-    if expected is not None and size != expected:
-        findings.warning(
-            image_path, "size", "the image size differs from camera.json", place=place,
-            detail=f"{size[1]}x{size[0]}, camera.json has {expected[1]}x{expected[0]}",
-            cause="the images were scaled or cropped without the camera",
-            remedy="scale cam_K like the images, and correct camera.json",
-        )  # fmt: skip

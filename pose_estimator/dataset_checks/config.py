@@ -1,12 +1,13 @@
 """Options of the command ``check-data``."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from ...core.errors import InputError
+from ...core.validation import require_within
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,4 @@ class CheckDataConfig:
     """Write the findings as a results file."""
 
     def __post_init__(self) -> None:
-        for name in ("scenes", "images", "overlays"):
-            if getattr(self, name) < 0:
-                raise InputError(f"{name} must be >= 0, got {getattr(self, name)}")
+        require_within(self, 0, math.inf, "scenes", "images", "overlays")

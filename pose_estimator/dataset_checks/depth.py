@@ -55,7 +55,7 @@ class DepthCheck:
             factor = next((s for s in STEPS if 0.8 < ratio / s < 1.25), None)
             if factor is not None:
                 findings.error(
-                    projection.camera_path, "depth_scale", problem,
+                    projection.folder / "scene_camera.json", "depth_scale", problem,
                     place=projection.place, detail=detail,
                     cause=f"depth_scale is {factor:g} times the correct value",
                     remedy=f"divide depth_scale by {factor:g}: it is the millimeters per unit",

@@ -1,7 +1,5 @@
 """Checks for unlisted and duplicated images and missing depth maps of a scene."""
 
-from pathlib import Path
-
 from ..bop.fields import Place
 from ..bop.scene import RESTORE, Scene, image_folder
 from .findings import Findings
@@ -25,15 +23,14 @@ def check_files(scene: Scene, findings: Findings) -> None:
     # Of two files with one id, the order of the folder decides which is read.
     folder = image_folder(scene.folder)
     seen: dict[int, str] = {}
-    names = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
-    for name in names:
-        if not Path(name).stem.isdigit():
+    for path in sorted(folder.iterdir()) if folder.is_dir() else []:
+        if not path.stem.isdigit():
             continue
-        number = int(Path(name).stem)
+        number = int(path.stem)
         if number in seen:
             findings.error(
-                folder / name, "file", "two images have the same id",
-                place=Place(scene.scene_id, number), detail=f"{seen[number]} and {name}",
+                path, "file", "two images have the same id",
+                place=Place(scene.scene_id, number), detail=f"{seen[number]} and {path.name}",
                 cause="images were converted and the old ones kept", remedy="remove one of them",
             )  # fmt: skip
-        seen[number] = name
+        seen[number] = path.name

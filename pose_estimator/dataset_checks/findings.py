@@ -1,6 +1,5 @@
 """Findings of the dataset checks, grouped by problem and cause."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -21,7 +20,6 @@ class Finding:
 
     Attributes:
         severity: ``error`` if the data is unusable, ``warning`` if it may be intended.
-        file: the file.
         field: the field of the file, or a part of it such as ``pixels``.
         problem: the problem, in the same words wherever it occurs.
         cause: the probable cause.
@@ -92,10 +90,6 @@ class Findings:
     def groups(self) -> list[Group]:
         """Returns the groups, errors before warnings, each in order of detection."""
         return sorted(self._groups.values(), key=lambda group: group.first.severity != "error")
-
-    def __iter__(self) -> Iterator[Finding]:
-        for group in self.groups():
-            yield from group.kept
 
     def count(self, severity: Severity | None = None) -> int:
         """Returns the number of findings, of one severity or in total."""

@@ -12,7 +12,6 @@ from ...core.images import read_image
 from ..bop.fields import MM, Place, rigid
 from ..bop.scene import Scene
 from .boxes import check_mask
-from .cameras import check_size
 from .depth import DepthCheck
 from .findings import Findings
 from .meshes import CheckedModel
@@ -56,7 +55,14 @@ class ImageCheck:
             return 0, 0
         self.checked += 1
         shape = (rgb.shape[0], rgb.shape[1])
-        check_size(image_path, shape, self.camera_size, place, self.findings)
+        expected = self.camera_size
+        if expected is not None and shape != expected:
+            self.findings.warning(
+                image_path, "size", "the image size differs from camera.json", place=place,
+                detail=f"{shape[1]}x{shape[0]}, camera.json has {expected[1]}x{expected[0]}",
+                cause="the images were scaled or cropped without the camera",
+                remedy="scale cam_K like the images, and correct camera.json",
+            )  # fmt: skip
         depth = self._depth(scene, image_id, shape, place)
         K = scene.K[scene.image_id == image_id][0]
         try:
@@ -90,8 +96,7 @@ class ImageCheck:
             if gray is None:
                 return None
             mask = gray > 0
-            info = (rows.bbox_visib[row], rows.px_count_visib[row], rows.visibility[row])
-            if not check_mask(path, mask, shape, scene.info_path, info, place, self.findings):
+            if not check_mask(scene, row, mask, shape, self.findings):
                 return None
         model = self.models.get(int(rows.obj_id[row]))
         evidence = _evidence(scene, row, shape, mask)
@@ -100,9 +105,8 @@ class ImageCheck:
         T = rigid(rows.T_cam_obj[row : row + 1].copy())[0]
         projection = Projection(
             place=place,
-            gt_path=scene.gt_path,
-            camera_path=scene.camera_path,
-            mask_path=path if mask is not None else None,
+            folder=scene.folder,
+            mask_path=path,
             image_path=scene.images[int(rows.image_id[row])],
             model=model,
             T_cam_obj=T,
@@ -178,7 +182,7 @@ def _evidence(
     if mask is not None:
         return Evidence.of_mask(mask, visible) if mask.sum() >= MIN_PIXELS else None
     for given, amodal in ((rows.bbox_obj[row], True), (rows.bbox_visib[row], False)):
-        if not np.isnan(given).any() and (given[2:] > 0).all() and given[2] * given[3] >= 60:
+        if not np.isnan(given).any() and (given[2:] > 0).all() and given[2:].prod() >= MIN_PIXELS:
             box = np.concatenate([given[:2], given[:2] + given[2:]])
             return Evidence(shape, box, None, visible, amodal)
     return None

@@ -52,19 +52,17 @@ class CheckedModel:
 
 def read_models(root: Path, findings: Findings) -> dict[int, CheckedModel]:
     """Returns obj_id -> object of ``models`` (or, without that folder, ``models_eval``)."""
-    folder = root / "models"
-    if not folder.is_dir() and (root / "models_eval").is_dir():
-        folder = root / "models_eval"
-    if not folder.is_dir():
+    folders = [root / name for name in ("models", "models_eval") if (root / name).is_dir()]
+    if not folders:
         findings.error(
-            folder, "folder", "the dataset has no models",
+            root / "models", "folder", "the dataset has no models",
             cause="BOP datasets have their models in a separate download (..._models.zip)",
             remedy="add models/obj_000001.ply and so on, and models/models_info.json",
         )  # fmt: skip
         return {}
-    path = folder / "models_info.json"
+    path = folders[0] / "models_info.json"
     infos = read_entries(path, findings.error)
-    for mesh in sorted(folder.glob("obj_*.ply")):
+    for mesh in sorted(folders[0].glob("obj_*.ply")):
         number = mesh.stem.removeprefix("obj_")
         if infos and number.isdigit() and int(number) not in infos:
             findings.warning(

@@ -30,7 +30,7 @@ def draw_overlays(wrong: Iterable[Projection], folder: Path, count: int) -> list
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for projection in _choose(wrong, count):
-        place, split = projection.place, projection.gt_path.parent.parent.name
+        place, split = projection.place, projection.folder.parent.name
         name = f"{split}_{place.scene:06d}_{place.image:06d}_{place.annotation:02d}.png"
         _draw(projection, folder / name)
         paths.append(folder / name)
@@ -38,7 +38,7 @@ def draw_overlays(wrong: Iterable[Projection], folder: Path, count: int) -> list
 
 
 def _choose(wrong: Iterable[Projection], count: int) -> list[Projection]:
-    """At most ``count`` projections, of as many causes and objects as there are, the best seen."""
+    """Chooses at most ``count`` projections: all causes and objects in turn, most visible first."""
     groups: dict[tuple[str, int], list[Projection]] = {}
     for p in sorted(wrong, key=lambda p: -np.nan_to_num(p.evidence.visibility)):
         groups.setdefault((p.cause.name if p.cause else "", p.model.obj_id), []).append(p)
@@ -49,8 +49,8 @@ def _choose(wrong: Iterable[Projection], count: int) -> list[Projection]:
 def _draw(projection: Projection, path: Path) -> None:
     """Writes one overlay as a PNG.
 
-    Left the model as the files put it, right as it is when the cause is undone, where one was
-    found; in both what the mask, or without one the box, says.
+    Left: the model in the pose as written. Right: in the corrected pose, where a cause was found.
+    Both panels show the mask, or the box where there is no mask.
     """
     from matplotlib.figure import Figure
 
@@ -85,7 +85,7 @@ def _draw(projection: Projection, path: Path) -> None:
 
 
 def _draw_evidence(panel: Any, evidence: Evidence) -> None:
-    """The mask as a tint, or the box."""
+    """Draws the mask as a tint, or the box."""
     left, top, right, bottom = evidence.box
     if evidence.mask is not None:
         tint = evidence.mask[..., None] * np.array([0.1, 0.83, 0.95, 0.55])
@@ -101,7 +101,7 @@ def _draw_evidence(panel: Any, evidence: Evidence) -> None:
 def _frame(
     evidence: Evidence, contours: Sequence[np.ndarray]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The part of the image to show: all that is drawn, with air, and no less than a quarter."""
+    """Returns limits of x and y around all that is drawn, at least a quarter of the image wide."""
     height, width = evidence.shape
     boxes = [np.concatenate([contour.min(axis=0), contour.max(axis=0)]) for contour in contours]
     boxes.append(evidence.box)

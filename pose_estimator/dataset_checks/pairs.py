@@ -107,16 +107,11 @@ def check_pairs(
             for o in pair.obj_ids
             if (first, o) in poses and (second, o) in poses
         ]
-        if not shown:
+        if not shown or (distance := _median_distance(T, shown, models)) <= 1:
             continue
-        distance = _median_distance(T, shown, models)
-        if distance <= 1:
-            continue
-        cause, remedy = "it is another pair's, or the objects moved", "compute it again"
-        for reason, cure, read in _PAIR_READINGS:
-            if _median_distance(read(T), shown, models) <= 1:
-                cause, remedy = reason, cure
-                break
+        explained = (r for r in _PAIR_READINGS if _median_distance(r[2](T), shown, models) <= 1)
+        unknown = "it is another pair's, or the objects moved", "compute it again"
+        cause, remedy, *_ = next(explained, unknown)
         findings.error(
             path, "T_second_ref", "the pair disagrees with the poses of its objects", place=place,
             detail=f"{where}: objects are off by {1e3 * STILL * distance:.0f} mm or more",
@@ -153,14 +148,12 @@ def check_world(scene: Scene, reliable: np.ndarray, findings: Findings) -> None:
     tracks = [track for track in poses.values() if len(track) > 1]
     if not tracks or _moving(tracks, world, lambda T: T) < 0.5:
         return
-    cause, remedy = (
+    explained = (r for r in _WORLD_READINGS if _moving(tracks, world, r[2]) < 0.1)
+    unknown = (
         "the objects moved, or world and object poses are of different recordings",
         "omit cam_R_w2c and cam_t_w2c where objects move",
     )
-    for reason, cure, read in _WORLD_READINGS:
-        if _moving(tracks, world, read) < 0.1:
-            cause, remedy = reason, cure
-            break
+    cause, remedy, *_ = next(explained, unknown)
     for image_id in world:
         findings.error(
             scene.camera_path, "cam_R_w2c, cam_t_w2c", "objects are not static in the world",

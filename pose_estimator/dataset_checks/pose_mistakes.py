@@ -14,6 +14,8 @@ OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 RESOLUTIONS = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 0.8, 1.25, 4 / 3, 1.5, 2.0, 3.0, 4.0)
 """Common ratios between the image sizes of one camera."""
 
+WRITE_K = "write fx, 0, cx, 0, fy, cy, 0, 0, 1"
+
 ORIGINS = (0.35, 0.65)
 """Range of a corrected principal point, as fractions of the image's sides."""
 
@@ -128,21 +130,20 @@ def corrections(T: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> Iterator
 def _cameras(K: np.ndarray, size: tuple[int, int]) -> Iterator[tuple[str, str, str, np.ndarray]]:
     """Yields corrections of a camera matrix with the principal point near the image center."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    order = "write fx, 0, cx, 0, fy, cy, 0, 0, 1"
     found = [
-        ("K swapped", "focal lengths and principal point are swapped", order, (cx, cy, fx, fy)),
-        ("K upright", "cx and cy are swapped, as after a rotation by 90 degrees", order,
+        ("K swapped", "focal lengths and principal point are swapped", WRITE_K, (cx, cy, fx, fy)),
+        ("K upright", "cx and cy are swapped, as after a rotation by 90 degrees", WRITE_K,
          (fy, fx, cy, cx)),
     ]  # fmt: skip
-    for factor in RESOLUTIONS:
-        found.append(
-            (
-                f"K times {factor:.3g}",
-                f"the camera matrix is that of images {1 / factor:.3g} times as large",
-                f"multiply fx, fy, cx and cy by {factor:.3g}",
-                (factor * fx, factor * fy, factor * cx, factor * cy),
-            )
+    found += [
+        (
+            f"K times {factor:.3g}",
+            f"the camera matrix is that of images {1 / factor:.3g} times as large",
+            f"multiply fx, fy, cx and cy by {factor:.3g}",
+            (factor * fx, factor * fy, factor * cx, factor * cy),
         )
+        for factor in RESOLUTIONS
+    ]
     height, width = size
     for name, cause, remedy, (a, b, c, d) in found:
         middle = all(ORIGINS[0] < x < ORIGINS[1] for x in (c / width, d / height))

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..bop.fields import ROTATION_TOLERANCE
+from ..bop.fields import ROTATION_TOLERANCE, rotation_errors
 from ..bop.scene import UNKNOWN, Scene
 from .findings import Findings
 from .meshes import CheckedModel
@@ -48,13 +48,12 @@ def check_poses(
 def _wrong_rotations(scene: Scene, valid: np.ndarray, findings: Findings) -> np.ndarray:
     """Returns which rows have a matrix that is not a rotation within tolerance."""
     rotations = np.where(valid[:, None, None], scene.annotations.T_cam_obj[:, :3, :3], np.eye(3))
-    product = rotations @ rotations.swapaxes(1, 2)
-    error = np.abs(product - np.eye(3)).max(axis=(1, 2))
-    determinant = np.linalg.det(rotations)
-    wrong = (error > ROTATION_TOLERANCE) | (determinant < 0)
+    wrong = rotation_errors(rotations) > ROTATION_TOLERANCE
     for row in np.flatnonzero(wrong).tolist():
-        scale = np.abs(product[row] / max(product[row, 0, 0], 1e-12) - np.eye(3)).max()
-        if determinant[row] < 0 and error[row] <= ROTATION_TOLERANCE:
+        product, determinant = rotations[row] @ rotations[row].T, np.linalg.det(rotations[row])
+        error = np.abs(product - np.eye(3)).max()
+        scale = np.abs(product / max(product[0, 0], 1e-12) - np.eye(3)).max()
+        if determinant < 0 and error <= ROTATION_TOLERANCE:
             cause = "it is a reflection: a left-handed frame, or an axis of the wrong sign"
         elif scale < ROTATION_TOLERANCE:
             cause = "a scale was multiplied into it"
@@ -63,7 +62,7 @@ def _wrong_rotations(scene: Scene, valid: np.ndarray, findings: Findings) -> np.
         findings.error(
             scene.gt_path, "cam_R_m2c", "is not a rotation", cause=cause,
             place=scene.place(row),
-            detail=f"determinant {determinant[row]:.3f}, off orthonormal by {error[row]:.2g}",
+            detail=f"determinant {determinant:.3f}, off orthonormal by {error:.2g}",
             remedy="write an orthonormal matrix of determinant +1, row-major",
         )  # fmt: skip
     return wrong
@@ -82,21 +81,19 @@ def _wrong_distances(
         behind = valid & (translation[:, 2] <= 0) & ~near
     for row in np.flatnonzero(near | far).tolist():
         remedy = "write the object's origin in the camera frame, in millimeters"
-        meters = near[row] and MIN_DISTANCE < 1000 * ratio[row] < MAX_DISTANCE
         where = f"{1e3 * np.linalg.norm(translation[row]):.4g} mm from the camera"
         size = f"an object of {1e3 * diameters[row]:.4g} mm"
-        if meters:
+        if near[row] and MIN_DISTANCE < 1000 * ratio[row] < MAX_DISTANCE:
             cause, remedy = "it is in meters; BOP has millimeters", "multiply cam_t_m2c by 1000"
         elif near[row]:
             cause = "the pose was never filled in, or maps camera to object"
         else:
-            cause = "it was scaled by 1000 twice"
-            remedy = "divide cam_t_m2c by 1000"
+            cause, remedy = "it was scaled by 1000 twice", "divide cam_t_m2c by 1000"
         findings.error(
             scene.gt_path, "cam_t_m2c",
             "the camera is inside the object" if near[row] else "the object is too far away",
-            place=scene.place(row), detail=f"{size}, {where}", cause=cause,
-            remedy=remedy,
+            place=scene.place(row), detail=f"{size}, {where}",
+            cause=cause, remedy=remedy,
         )  # fmt: skip
     for row in np.flatnonzero(behind).tolist():
         findings.error(

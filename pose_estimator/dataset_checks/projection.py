@@ -15,13 +15,14 @@ from .pose_mistakes import Correction, corrections
 from .projection_score import Evidence
 
 GOOD, FAIR, POOR = 0.88, 0.7, 0.5
-"""Scores of `Evidence.score`: no question is asked, one is, it is an error whatever the cause."""
+"""Values of `Evidence.score`: below GOOD corrections are tried, below FAIR it is a finding, below
+POOR an error even without a known cause."""
 
 EXPLAINS = 0.8
 """Score from which on another reading of a pose explains it."""
 
 GAIN = 0.15
-"""By how much another reading must be better than what is written."""
+"""Minimum gain in score of another reading over the pose as written."""
 
 SHARE = 0.3
 """Share of a dataset's wrong projections that a cause must explain to be named at all."""
@@ -32,7 +33,7 @@ MIN_SHIFTED = 3
 
 MIN_PIXELS = 60
 MIN_VISIBLE = 0.15
-"""Less of an object than that says nothing about its pose."""
+"""Objects with fewer visible pixels, or a smaller visible fraction, are not compared."""
 
 
 @dataclass(eq=False)
@@ -40,12 +41,8 @@ class Projection:
     """An annotation and the score of its projection.
 
     Attributes:
-        place: its location.
-        gt_path: its scene_gt.json.
-        camera_path: its scene_camera.json.
-        mask_path: its mask, or None.
-        image_path: the image's file.
-        model: the object.
+        folder: its scene's folder.
+        mask_path: its mask, which may not exist.
         T_cam_obj: as written, (4, 4), orthonormal.
         K: as written, (3, 3).
         evidence: what it should cover.
@@ -55,9 +52,8 @@ class Projection:
     """
 
     place: Place
-    gt_path: Path
-    camera_path: Path
-    mask_path: Path | None
+    folder: Path
+    mask_path: Path
     image_path: Path
     model: CheckedModel
     T_cam_obj: np.ndarray
@@ -79,7 +75,7 @@ class Projection:
         return self.score
 
     def _shifted(self) -> list[Correction]:
-        """The projection where the mask is, if that is all that is wrong with it."""
+        """Returns a correction that shifts the projection onto its mask, if enough is visible."""
         visible = self.evidence.visibility
         if np.isfinite(visible) and visible < 0.8:
             return []
@@ -125,16 +121,13 @@ def explain(suspects: Sequence[Projection]) -> list[Projection]:
 def report(wrong: Sequence[Projection], findings: Findings) -> None:
     """Adds a finding for each wrong projection."""
     for projection in wrong:
-        masked = projection.mask_path is not None
-        problem = f"the object does not project onto its {'mask' if masked else 'box'}"
-        cause = projection.cause
-        file, name = projection.gt_path, cause.field if cause else "cam_R_m2c, cam_t_m2c"
-        if name == "cam_K":
-            file = projection.camera_path
-        elif name == "pixels" and projection.mask_path is not None:
-            file = projection.mask_path
-        elif name == "bbox_visib":
-            file = projection.gt_path.with_name("scene_gt_info.json")
+        target = "box" if projection.evidence.mask is None else "mask"
+        problem = f"the object does not project onto its {target}"
+        cause, folder = projection.cause, projection.folder
+        name = cause.field if cause else "cam_R_m2c, cam_t_m2c"
+        files = {"cam_K": folder / "scene_camera.json", "pixels": projection.mask_path}
+        files["bbox_visib"] = folder / "scene_gt_info.json"
+        file = files.get(name, folder / "scene_gt.json")
         add = findings.error if cause is not None or projection.score < POOR else findings.warning
         detail = f"object {projection.model.obj_id} matches to {100 * projection.score:.0f} %"
         if cause is not None:

@@ -14,22 +14,22 @@ _SIDE = 160
 """Pixels along the longer side of the window in which silhouettes are compared."""
 
 _FINEST = 4.0
-"""Window pixels for each of an image: drawn triangles are wider than they are by half of one."""
+"""Maximum window pixels per image pixel: rasterized triangles are wider by half a window pixel."""
 
 _LARGEST = 6.0
-"""A projection that is so many times as long as what it should cover covers nothing."""
+"""A projection longer than this multiple of the visible box scores 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What is known of where an object is in an image.
+    """The annotated mask or box of an object in an image.
 
     Attributes:
         shape: height and width of the image.
-        box: left, top, right, bottom of what is seen, pixels.
+        box: left, top, right, bottom of the visible pixels.
         mask: bool (h, w) of the visible pixels within ``box``, or None where only boxes are known.
         visibility: visible fraction of the silhouette, NaN where unknown.
-        amodal: whether ``box`` is that of the whole silhouette (without a mask).
+        amodal: whether ``box`` is that of the whole silhouette; only without a mask.
     """
 
     shape: tuple[int, int]
@@ -40,19 +40,19 @@ class Evidence:
 
     @classmethod
     def of_mask(cls, mask: np.ndarray, visibility: float) -> Evidence:
-        """What a mask (H, W) says that is not empty; only the part within its box is kept."""
+        """Returns the evidence of a non-empty mask (H, W), cropped to its box."""
         left, top, width, height = bounding_box(mask)
         part = mask[top : top + height + 1, left : left + width + 1].copy()
         box = np.array([left, top, left + width, top + height], dtype=float)
         return cls((mask.shape[0], mask.shape[1]), box, part, visibility)
 
     def score(self, model: Shape, T_cam_obj: np.ndarray, K: np.ndarray) -> float:
-        """From 0, elsewhere, to 1, just there.
+        """Returns how well a pose projects onto the evidence, from 0 (no overlap) to 1.
 
         With a mask: the intersection over union of mask and silhouette, divided by the visible
-        fraction, which a right pose would reach; where that is unknown, the share of the mask that
-        the silhouette covers. Without one: the same of boxes. What lies outside of the image may
-        count as visible or not: the better of the two is taken.
+        fraction, which a correct pose reaches; where that is unknown, the share of the mask that
+        the silhouette covers. Without a mask: the same for boxes. Pixels outside the image may
+        count as visible or not: the better score is returned.
 
         Args:
             model: the object.
@@ -85,7 +85,7 @@ class Evidence:
         high = np.ceil(np.maximum(box[2:], self.box[2:])) + 1
         scale = min(_FINEST, _SIDE / max(high - low + 1))
         across, down = (np.arange(n) for n in np.ceil((high - low + 1) * scale).astype(int))
-        # The pixels of the image under the middles of the window's pixels.
+        # Image pixels at the centers of the window's pixels.
         u = np.round(low[0] + across / scale).astype(int)
         v = np.round(low[1] + down / scale).astype(int)
         window = np.array([[scale, 0, -scale * low[0]], [0, scale, -scale * low[1]], [0, 0, 1]])

@@ -1,10 +1,8 @@
 """Evaluates an estimator on a BOP dataset."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
@@ -20,9 +18,6 @@ from .evaluate_pairs import evaluate_pairs
 from .metrics import MeasuredObject
 from .oracle_rois import NOISE, GroundTruthRois
 from .outcomes import print_table, summarize
-
-if TYPE_CHECKING:
-    from ..networks.container import PoseNetworks
 
 
 def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]) -> list[dict]:
@@ -41,10 +36,14 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
         print(f"{len(pairs)} pairs of views found from the poses of {root / config.split}")
     if config.both_directions:
         pairs += [swapped(pair) for pair in pairs]
+    rois = None
+    if config.roi != "detector":
+        scale = networks.features.config.roi_scale
+        rois = GroundTruthRois(scale, *NOISE[config.roi], seed=config.seed)
     outcomes = evaluate_pairs(
         estimator, dataset, pairs, networks.objects,
         depth=find_method(config.method).needs_depth,
-        ground_truth_rois=_ground_truth_rois(config, networks),
+        ground_truth_rois=rois,
         surfaces=_surfaces(config, dataset, networks.objects),
         targets=_targets(dataset),
         baselines=config.baselines,
@@ -68,14 +67,6 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     if config.json is not None:
         write_results(config.json, records, command=_command(config), seed=config.seed)
     return records
-
-
-def _ground_truth_rois(config: EvaluateConfig, networks: PoseNetworks) -> GroundTruthRois | None:
-    """Returns the generator of regions for ``config.roi``; None leaves it to the detector."""
-    if config.roi == "detector":
-        return None
-    scale = networks.features.config.roi_scale
-    return GroundTruthRois(scale, *NOISE[config.roi], seed=config.seed)
 
 
 def _surfaces(
@@ -105,10 +96,7 @@ def _changed(config: EvaluateConfig) -> list[str]:
 def _command(config: EvaluateConfig) -> str:
     """Returns the command line that repeats the evaluation."""
     options = f"evaluate --method {config.method} --weights {config.weights}"
-    changed = _changed(config)
-    for name in changed:
-        if name != "baselines":
-            options += f" --{name} {getattr(config, name)}"
-    if "baselines" in changed:
-        options += " --baselines {:g} {:g}".format(*config.baselines)
+    for name in _changed(config):
+        value = getattr(config, name)
+        options += f" --{name} " + ("{:g} {:g}".format(*value) if name == "baselines" else value)
     return options + " --both-directions" * config.both_directions

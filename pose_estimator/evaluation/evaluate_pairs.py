@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from tqdm import tqdm
 
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
@@ -19,9 +20,8 @@ from .oracle_rois import GroundTruthRois
 from .outcomes import Outcome
 
 
-class _Estimator(Protocol):
-    @property
-    def object_names(self) -> tuple[str, ...]: ...
+class Estimator(Protocol):
+    """A method to evaluate; ``rois`` replace its detector."""
 
     def estimate(
         self, views: Sequence[View], object_name: str, rois: Sequence[Roi] | None = None
@@ -48,9 +48,8 @@ def target_pairs(
         for obj_id in wanted:
             key = (pair.scene_id, pair.ref_image_id, obj_id)
             counts = pair.target_obj_id is not None or targets is None or key in targets
-            if not baselines[0] <= baseline_at(pair, obj_id) <= baselines[1]:
-                continue
-            if obj_id in names and counts:
+            within = baselines[0] <= baseline_at(pair, obj_id) <= baselines[1]
+            if obj_id in names and counts and within:
                 yield pair, names[obj_id]
 
 
@@ -60,12 +59,11 @@ def baseline_at(pair: BopPair, obj_id: int) -> float:
 
 
 def evaluate_pairs(
-    estimator: _Estimator,
+    estimator: Estimator,
     dataset: BopDataset,
     pairs: Sequence[BopPair],
     objects: Mapping[str, ObjectModel],
     *,
-    views: int = 2,
     depth: bool = False,
     ground_truth_rois: GroundTruthRois | None = None,
     surfaces: Mapping[str, MeasuredObject] | None = None,
@@ -79,7 +77,6 @@ def evaluate_pairs(
         estimator: gets images, cameras and the object's name.
         dataset: has the images and the true poses.
         pairs, objects, targets, baselines: see :func:`target_pairs`.
-        views: 1 leaves the second view out.
         depth: whether the estimator gets depth maps.
         ground_truth_rois: makes the regions of interest; None: the estimator detects the object.
         surfaces: the objects to measure errors on, by name; None: ``objects``.
@@ -91,8 +88,6 @@ def evaluate_pairs(
     Raises:
         InputError: if ``depth`` is set and the dataset has none.
     """
-    from tqdm import tqdm
-
     cases = list(enumerate(target_pairs(pairs, objects, targets, baselines)))
     scenes = lru_cache(maxsize=2)(dataset.scene)
     size = batch_size(estimator)
@@ -112,16 +107,14 @@ def evaluate_pairs(
                         f"scene {pair.scene_id} has no depth maps, which the estimator needs: "
                         "generate the dataset again with --depth"
                     )
-                given = read_views(case.images[:views], pair.T_second_ref, depth=depth)
+                given = read_views(case.images, pair.T_second_ref, depth=depth)
                 batch.append(case)
                 requests.append((given, name))
                 if ground_truth_rois is not None:
-                    poses = [truth.T_cam_obj for truth in case.truths[:views]]
+                    poses = [truth.T_cam_obj for truth in case.truths]
                     rois.append(ground_truth_rois.make(poses, given, model.diameter, number))
             began = time.perf_counter()
-            estimates = estimate_all(
-                estimator, requests, None if ground_truth_rois is None else rois
-            )
+            estimates = estimate_all(estimator, requests, rois if ground_truth_rois else None)
             seconds = (time.perf_counter() - began) / max(1, len(requests))
             for case, estimate in zip(batch, estimates, strict=True):
                 model = objects[case.name]

@@ -6,31 +6,21 @@ the error is below a tenth of the object's diameter.
 """
 
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
 from ...core.geometry import check_rigid, invert, transform
+from ..bop.objects import EvaluationObject
 from .nearest_points import NearestPoints
 
 CORRECT = 0.1
 """ADD(-S) in diameters below which a pose counts as correct."""
 
 
-class MeasuredObject(Protocol):
-    """An object with surface points (P, 3) in its own frame and a diameter, in meters."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def points(self) -> np.ndarray: ...
-    @property
-    def diameter(self) -> float: ...
-    @property
-    def symmetric(self) -> bool: ...
-    def __hash__(self) -> int: ...
+MeasuredObject = ObjectModel | EvaluationObject
+"""An object with surface points (P, 3) in its own frame and a diameter, in meters."""
 
 
 def add(T_est: np.ndarray, T_true: np.ndarray, points: np.ndarray) -> float:
@@ -49,7 +39,8 @@ def add(T_est: np.ndarray, T_true: np.ndarray, points: np.ndarray) -> float:
     """
     T_est, T_true = _check_poses(T_est, T_true)
     points = _check_points(points)
-    return float(_distances(transform(T_est, points), transform(T_true, points)).mean())
+    moved = transform(T_est, points) - transform(T_true, points)
+    return float(np.linalg.norm(moved, axis=-1).mean())
 
 
 def add_s(
@@ -106,16 +97,12 @@ def _equivalent_distances(
     keypoints: np.ndarray, T_true: np.ndarray, model: ObjectModel
 ) -> list[np.ndarray]:
     truths = (transform(T_true @ S, model.keypoints) for S in model.symmetries)
-    return [_distances(keypoints, truth) for truth in truths]
+    return [np.linalg.norm(keypoints - truth, axis=-1) for truth in truths]
 
 
 @lru_cache(maxsize=128)
 def _surface_index(object_model: MeasuredObject) -> NearestPoints:
     return NearestPoints(object_model.points)
-
-
-def _distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(a - b, axis=-1)
 
 
 def _check_poses(T_est: np.ndarray, T_true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

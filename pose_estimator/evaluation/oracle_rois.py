@@ -41,10 +41,9 @@ class GroundTruthRois:
         """
         rng = np.random.default_rng([self.seed, number])
         spread = (self.side_noise, self.side_noise, self.depth_noise)
-        moved = [T.copy() for T in T_cam_obj]
-        for T in moved:
-            T[:3, 3] += spread * rng.standard_normal(3)
-        return [
-            roi_of_pose(T, view.K, diameter, self.scale)
-            for T, view in zip(moved, views, strict=True)
-        ]
+        rois = []
+        for T, view in zip(T_cam_obj, views, strict=True):
+            moved = T.copy()
+            moved[:3, 3] += spread * rng.standard_normal(3)
+            rois.append(roi_of_pose(moved, view.K, diameter, self.scale))
+        return rois

@@ -11,6 +11,13 @@ from ..bop.results import BopResult
 from .intervals import bootstrap_interval
 from .metrics import CORRECT
 
+MEASURES: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
+    "add_s_recall": ("", lambda o: float(o.error < CORRECT)),
+    "add_over_diameter": ("", lambda o: min(o.error, 1.0)),
+    "keypoint_distance": ("m", lambda o: o.keypoint_distance),
+}
+"""Metric -> its unit, and its value for one outcome."""
+
 _MEAN_QUANTILES = (0.025, 0.975)
 """As in ``intervals``, but rounded: the last digit of an interval depends on it."""
 
@@ -56,14 +63,10 @@ def summarize(outcomes: Sequence[Outcome], tags: Mapping[str, Any], seed: int = 
         raise InputError("there is no pair of views with a target to evaluate")
     rng = np.random.default_rng(seed)
     names = list(dict.fromkeys(outcome.object_name for outcome in outcomes))
-    measures: dict[str, tuple[str, Callable[[Outcome], Any]]] = {
-        "add_s_recall": ("", lambda o: float(o.error < CORRECT)),
-        "add_over_diameter": ("", lambda o: min(o.error, 1.0)),
-    }
-    if all(o.keypoint_distance is not None for o in outcomes):
-        measures["keypoint_distance"] = ("m", lambda o: o.keypoint_distance)
     records: list[dict] = []
-    for metric, (unit, measure) in measures.items():
+    for metric, (unit, measure) in MEASURES.items():
+        if any(measure(o) is None for o in outcomes):
+            continue
         groups = [np.array([measure(o) for o in outcomes if o.object_name == n]) for n in names]
         rows = [
             (name, values.mean(), bootstrap_interval([values], rng), len(values))

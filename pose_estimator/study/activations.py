@@ -20,9 +20,9 @@ from torch.utils._pytree import tree_map_only
 from ...core.geometry import View, transform
 from ...core.image_crop import warp_crop
 from ...core.plotting import INK, new_figure, save
+from ..evaluation.evaluate_pairs import Estimator
 from ..evaluation.metrics import nearest_symmetric_pose
 from .images import Example
-from .measure import Estimator
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

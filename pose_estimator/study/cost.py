@@ -8,11 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from ...core.cpu_cores import available_cores
 from ...core.geometry import View
+from ..evaluation.evaluate_pairs import Estimator
 from ..fusion.batching import estimate_all
-from .measure import Estimator
 
 BATCH = 16
 
@@ -32,8 +33,6 @@ def measure_cost(
     Each of ``pairs`` reads the views that a method is given, and the object's name. Batches are
     timed for estimators with ``estimate_batch``.
     """
-    from tqdm import tqdm
-
     single: dict[str, list[float]] = {method: [] for method in estimators}
     for turn in tqdm(range(repeats + _WARM_UP), desc="cost", unit="turn", disable=not progress):
         for method, estimator in estimators.items():

@@ -9,13 +9,13 @@ from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
 from ...core.geometry import View
 from ..bop.dataset import read_depth
-from ..evaluation.evaluate_pairs import read_views
+from ..evaluation.evaluate_pairs import Estimator, read_views
 from ..methods import METHOD_TABLE
 from .activations import plot_activations
 from .cost import BATCH
 from .images import Example, draw_example
-from .measure import Estimator, StudySet
-from .plan import BEST_GAP, ONE_VIEW, Run, Work, choose_pairs
+from .measure import StudySet
+from .plan import BEST_GAP, Run, Work, choose_pairs
 
 
 def draw_gallery(
@@ -70,8 +70,8 @@ def make_views(test: StudySet, work: Work, method: str) -> list[View]:
     pair, _ = work
     scene = test.dataset.scene(pair.scene_id)
     images = [scene[pair.ref_image_id], scene[pair.second_image_id]]
-    used = images[:1] if method in ONE_VIEW else images
-    return read_views(used, pair.T_second_ref, depth=METHOD_TABLE[method].needs_depth)
+    row = METHOD_TABLE[method]
+    return read_views(images[: row.views], pair.T_second_ref, depth=row.needs_depth)
 
 
 def at_best_gap(test: StudySet, objects: Mapping[str, ObjectModel]) -> list[Work]:

@@ -12,36 +12,33 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
+from tqdm import tqdm
 
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
 from ...core.geometry import View
 from ..bop.dataset import BopDataset, BopPair, read_dataset, read_pairs, read_rgb
 from ..bop.pairs import PAIRS_FILE
-from ..evaluation.evaluate_pairs import AnnotatedPair, annotated_pair, baseline_at, read_views
+from ..evaluation.evaluate_pairs import (
+    AnnotatedPair,
+    Estimator,
+    annotated_pair,
+    baseline_at,
+    read_views,
+)
 from ..evaluation.metrics import add_or_add_s, keypoint_distances
 from ..fusion.batching import batch_size, estimate_all
 from ..methods import METHOD_TABLE
 from ..solvers.rigid import SOLVERS, solve_pose
 from ..types import PoseEstimate
 from .log import OutcomeLog, PairOutcome
-from .plan import ONE_VIEW, Run, choose_pairs, perturbed_pose
+from .plan import Run, choose_pairs, perturbed_pose
 
 OUTCOME_FORMAT = 1
 """Part of the key of logged outcomes. Raise it with every change of this module, of ``plan.py`` or
 of an estimator after which a pair would be measured differently."""
-
-
-class Estimator(Protocol):
-    """A method that the study measures."""
-
-    @property
-    def object_names(self) -> tuple[str, ...]: ...
-
-    def estimate(self, views: Sequence[View], object_name: str) -> PoseEstimate: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +78,6 @@ def measure_run(
     Raises:
         InputError: if the test has no pair of the run, or lacks what the method needs.
     """
-    from tqdm import tqdm
-
     work = choose_pairs(run, test.pairs, objects)
     if not work:
         raise InputError(f"the {run.test} test has no pair for {run.method}, gaps {run.gaps}")
@@ -177,7 +172,7 @@ class _Answers:
         self._estimator = estimator
         self._run = run
         self._seed = seed
-        self._views = 1 if run.method in ONE_VIEW else 2
+        self._views = METHOD_TABLE[run.method].views
         self._last: dict[tuple, tuple[PoseEstimate, float]] = {}
         self._read = lru_cache(maxsize=16)(read_rgb)
 

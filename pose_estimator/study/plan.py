@@ -10,10 +10,6 @@ from ...assets.object_model import ObjectModel
 from ...core.pose_noise import perturb_relative_pose
 from ..bop.dataset import BopPair
 from ..evaluation.evaluate_pairs import target_pairs
-from ..methods import METHOD_TABLE
-
-ONE_VIEW = frozenset(m.name for m in METHOD_TABLE.values() if m.views == 1)
-"""Methods that use the reference view only."""
 
 GAPS = (1, 5, 10)
 """Frames between the two views."""

@@ -15,8 +15,6 @@ from .. import METHODS
 from . import published, report_tables
 from .figures import draw_charts
 
-_IMAGE_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
-
 
 def write_report(folder: Path) -> Path:
     """Draws the charts and writes report.html into the folder of a study; returns its path.
@@ -73,7 +71,7 @@ def report_page(
 def data_uri(path: Path) -> str:
     """Encodes an SVG or PNG file as a data URI."""
     data = base64.b64encode(path.read_bytes()).decode()
-    return f"data:{_IMAGE_TYPES[path.suffix]};base64,{data}"
+    return f"data:image/{'svg+xml' if path.suffix == '.svg' else 'png'};base64,{data}"
 
 
 def _by_test(records: report_tables.Records, make: Any) -> dict[str, report_tables.Table]:

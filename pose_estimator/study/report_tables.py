@@ -73,13 +73,12 @@ def recall_table(records: Records, scene: str) -> Table | None:
     if not recalls:
         return None
     rows = []
+    paper = {"mean": _paper_cell("add_s_recall", scene, BEST_GAP, "%")}
     for name in [*sorted({r["object"] for r in recalls} - {"mean"}), "mean"]:
         results = [find(recalls, method=method, object=name) for method in METHODS]
-        paper = Cell(published=True)
-        if name == "mean":
-            paper = _paper_cell("add_s_recall", scene, BEST_GAP, "%")
         pairs = max(r["n"] for r in results if r is not None)
-        rows.append([Cell(name), *_ranked(results, "%", max), paper, Cell(str(pairs))])
+        cells = [*_ranked(results, "%", max), paper.get(name, Cell(published=True))]
+        rows.append([Cell(name), *cells, Cell(str(pairs))])
     gains = [
         f"{_format(r['value'], 'points')} points over {r['against']} "
         f"({_interval(r, 'points') or 'no interval'})"
@@ -105,9 +104,8 @@ def solver_table(records: Records) -> Table | None:
             by_solver = {"metric": "solver_recall", **tags}
             results = [find(records, solver=s, **by_solver) for s in ("soft", "kabsch", "hard")]
             gain = {"metric": "solver_recall_difference", **tags}
-            gains = [find(records, against=other, **gain) for other in ("kabsch", "hard")]
+            cells = [_cell(find(records, against=s, **gain), "points") for s in ("kabsch", "hard")]
             if any(results):
-                cells = [_cell(gain, "points") for gain in gains]
                 name = Cell(f"{TESTS[scene]}, {method}")
                 rows.append([name, *_ranked(results, "%", max), *cells])
     head = ["", "soft", "Kabsch", "hard", "soft over Kabsch", "soft over hard"]
@@ -127,13 +125,13 @@ def noise_table(records: Records) -> Table | None:
     for rotation, translation in sorted(levels):
         row = [Cell(f"{rotation:g}°, {1000 * translation:g} mm")]
         tags: dict[str, Any] = {"rotation_deg": rotation, "translation": translation}
-        for metric, unit, best in _MEASURES:
+        for metric, unit, best, _ in _MEASURES:
             tags["metric"] = f"noise_{metric}"
             results = [find(records, method=m, training=t, **tags) for m, t in curves]
             row += _ranked(results, unit, best)
         rows.append(row)
     names = [m if t == DEFAULT_WEIGHTS else f"{m}, trained with {t}" for m, t in curves]
-    groups = [("", 1), *((title, len(names)) for title in _MEASURE_TITLES)]
+    groups = [("", 1), *((title, len(names)) for *_, title in _MEASURES)]
     head = [Cell(name) for name in ("error of the pose", *names, *names)]
     return Table(groups, head, rows) if rows else None
 
@@ -147,15 +145,15 @@ def training_table(records: Records) -> Table | None:
             continue
         tags = {"scene": record["scene"], "method": record["method"]}
         row = [Cell(f"{training}, {TESTS[record['scene']]}")]
-        for metric, unit, best in _MEASURES:
+        for metric, unit, best, _ in _MEASURES:
             name = f"training_{metric}"
             baseline = find(records, metric=name, paired_with=training, **tags)
             other = find(records, metric=name, training=training, **tags)
             gain = find(records, metric=f"{name}_difference", training=training, **tags)
-            gain_unit = "points" if unit == "%" else unit
-            row += [*_ranked([baseline, other], unit, best), _cell(gain, gain_unit)]
+            cell = _cell(gain, "points" if unit == "%" else unit)
+            row += [*_ranked([baseline, other], unit, best), cell]
         rows.append(row)
-    groups = [("", 1), *((title, 3) for title in _MEASURE_TITLES)]
+    groups = [("", 1), *((title, 3) for *_, title in _MEASURES)]
     head = [Cell(name) for name in ("weights, test", *["baseline", "other", "gain"] * 2)]
     return Table(groups, head, rows) if rows else None
 
@@ -177,13 +175,11 @@ def cost_table(records: Records) -> Table | None:
     return Table(groups, [Cell("method"), *(Cell(f"batch {b}") for b in batches)], rows)
 
 
-_MEASURES: tuple[tuple[str, str, Callable[..., float]], ...] = (
-    ("add_s_recall", "%", max),
-    ("keypoint_distance", "mm", min),
+_MEASURES: tuple[tuple[str, str, Callable[..., float], str], ...] = (
+    ("add_s_recall", "%", max, "ADD(-S) < 0.1 d, %"),
+    ("keypoint_distance", "mm", min, "keypoint distance, mm"),
 )
-"""Metric, display unit, and what selects the best."""
-
-_MEASURE_TITLES = ("ADD(-S) < 0.1 d, %", "keypoint distance, mm")
+"""Metric, display unit, what selects the best, and title."""
 
 
 def _ranked(records: Sequence[Record], unit: str, best: Callable[..., float]) -> list[Cell]:

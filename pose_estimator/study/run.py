@@ -10,6 +10,7 @@ from ...core.errors import InputError
 from ...core.results import commit
 from ..bop.pairs import PAIRS_FILE
 from ..fusion.loading import load
+from ..fusion.single import SingleViewEstimator
 from ..methods import METHOD_TABLE, PARTS
 from ..networks.container import PoseNetworks
 from ..networks.weights import load_networks
@@ -17,7 +18,7 @@ from .config import CompareConfig
 from .cost import measure_cost
 from .gallery import draw_gallery, timed_pairs
 from .log import OutcomeLog, PairOutcome
-from .measure import OUTCOME_FORMAT, Estimator, StudySet, measure_run
+from .measure import OUTCOME_FORMAT, StudySet, measure_run
 from .plan import DEFAULT_WEIGHTS, NO_POSE_LOSS, NOISY, Run, plan
 from .tables import Record, tables
 
@@ -47,7 +48,7 @@ class Study:
         limits = {"per_object": config.pairs, "noise_per_object": config.noise_pairs}
         # Opens all logs first: one that does not match is an error before hours of measuring.
         logs = {
-            run: self.open_log(run, networks_of(estimators[run.method, run.training]))
+            run: self.open_log(run, estimators[run.method, run.training].networks)
             for run in plan(config.methods, trainings, **limits, per_gap=config.per_gap)
             if (run.method, run.training) in estimators
         }
@@ -56,7 +57,7 @@ class Study:
             for run, log in logs.items()
         }
         self.records += tables(outcomes)
-        objects = networks_of(next(iter(baseline.values()))).objects
+        objects = next(iter(baseline.values())).networks.objects
         tests = list(self.tests.values())
         draw = {"count": config.images, "seed": config.seed}
         draw_gallery(tests, baseline, objects, config.out / "figures", **draw)
@@ -69,9 +70,9 @@ class Study:
         files = {NOISY: self.config.noisy_weights, NO_POSE_LOSS: self.config.no_pose_loss_weights}
         return {training: file for training, file in files.items() if file is not None}
 
-    def load_all(self) -> dict[tuple[str, str], Estimator]:
+    def load_all(self) -> dict[tuple[str, str], SingleViewEstimator]:
         """Loads every method with every training; adds a record for those that lack networks."""
-        loaded: dict[tuple[str, str], Estimator] = {}
+        loaded: dict[tuple[str, str], SingleViewEstimator] = {}
         device, threads = self.config.device, self.config.threads
         wanted = [(method, DEFAULT_WEIGHTS, self.config.weights) for method in self.config.methods]
         wanted += [("mid", training, path) for training, path in self.other_weights().items()]
@@ -106,9 +107,11 @@ class Study:
         }
         return OutcomeLog(self.config.out / "outcomes" / f"{run.name}.jsonl", key, commit())
 
-    def measure(self, run: Run, estimator: Estimator, log: OutcomeLog) -> list[PairOutcome]:
+    def measure(
+        self, run: Run, estimator: SingleViewEstimator, log: OutcomeLog
+    ) -> list[PairOutcome]:
         """Measures a run, or resumes it, and adds a record of how it was made."""
-        test, objects = self.tests[run.test], networks_of(estimator).objects
+        test, objects = self.tests[run.test], estimator.networks.objects
         outcomes = measure_run(run, estimator, test, objects, log, seed=self.config.seed)
         record = {
             "metric": "run", "value": len(outcomes), "unit": "pairs", "scene": run.test,
@@ -118,11 +121,6 @@ class Study:
         }  # fmt: skip
         self.records.append(record)
         return outcomes
-
-
-def networks_of(estimator: Estimator) -> PoseNetworks:
-    """Returns the networks of one of our estimators."""
-    return estimator.networks  # type: ignore[attr-defined]
 
 
 def networks_digest(networks: PoseNetworks, method: str) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..evaluation.intervals import clustered_mean
 from ..evaluation.metrics import CORRECT
+from ..evaluation.outcomes import MEASURES
 from ..methods import METHODS
 from .log import PairOutcome
 from .plan import BEST_GAP, DEFAULT_WEIGHTS, Run
@@ -27,13 +28,6 @@ DISTANCE_BIN = 0.1
 Grouping = Callable[[PairOutcome], Hashable]
 
 _object_name = attrgetter("object_name")
-
-MEASURES: Mapping[str, tuple[str, Callable[[PairOutcome], float]]] = {
-    "add_s_recall": ("", lambda o: float(o.error < CORRECT)),
-    "add_over_diameter": ("", lambda o: min(o.error, 1.0)),
-    "keypoint_distance": ("m", lambda o: o.keypoint_distance),
-}
-"""Metric -> its unit, and its value for one outcome."""
 
 
 def tables(outcomes: Mapping[Run, Sequence[PairOutcome]]) -> list[Record]:
@@ -127,7 +121,7 @@ def solver_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> 
 def noise_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> list[Record]:
     """Returns the results of a method with an inexact relative pose."""
     return [
-        _mean(metric, outcomes, _object_name, "noise", **tags)
+        _mean(metric, outcomes, _object_name, "noise_", **tags)
         for metric in ("add_s_recall", "keypoint_distance")
     ]
 
@@ -146,12 +140,12 @@ def training_records(
     records = []
     pairs = _matched(baseline, outcomes)
     for metric in ("add_s_recall", "keypoint_distance"):
-        records.append(_mean(metric, outcomes, _object_name, "training", **tags))
+        records.append(_mean(metric, outcomes, _object_name, "training_", **tags))
         if pairs:
             paired = {**tags, "training": DEFAULT_WEIGHTS, "paired_with": tags["training"]}
             matched = [ours for ours, _ in pairs]
-            records.append(_mean(metric, matched, _object_name, "training", **paired))
-            records.append(_difference(metric, pairs, "training", **tags))
+            records.append(_mean(metric, matched, _object_name, "training_", **paired))
+            records.append(_difference(metric, pairs, "training_", **tags))
     return records
 
 
@@ -168,8 +162,8 @@ def _mean(
 ) -> Record:
     """Returns the record of a metric's mean; ``part`` of the study is its prefix."""
     unit, measure = MEASURES[metric]
-    name = f"{part}_{metric}" if part else metric
-    return _record(name, unit, [measure(o) for o in outcomes], outcomes, by, **tags)
+    values = [measure(o) for o in outcomes]
+    return _record(f"{part}{metric}", unit, values, outcomes, by, **tags)
 
 
 def _difference(
@@ -177,9 +171,8 @@ def _difference(
 ) -> Record:
     """Returns the record of the mean over the objects of the mean difference."""
     unit, measure = MEASURES[metric]
-    name = f"{part}_{metric}_difference" if part else f"{metric}_difference"
-    values = [measure(a) - measure(b) for a, b in pairs]
-    return _record(name, unit, values, [a for a, _ in pairs], _object_name, **tags)
+    values, first = [measure(a) - measure(b) for a, b in pairs], [a for a, _ in pairs]
+    return _record(f"{part}{metric}_difference", unit, values, first, _object_name, **tags)
 
 
 def _record(

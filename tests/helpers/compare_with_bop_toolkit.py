@@ -1,11 +1,11 @@
-"""Asks BOP's own toolkit about a small dataset, and keeps the dataset with the toolkit's answers.
+"""Runs bop_toolkit on a small generated dataset, and stores the dataset and the results.
 
     python tests/helpers/compare_with_bop_toolkit.py --toolkit DIR --out FILE
 
 DIR is a checkout of https://github.com/thodan/bop_toolkit; its ``inout``, ``misc``, ``pose_error``,
 ``pose_matching`` and ``score`` need ``imageio`` and ``pypng`` beside what this project installs.
-`test_bop_toolkit` gives the kept dataset to our functions and compares with the kept answers, so
-that it needs no toolkit. Lengths are in millimeters, as the toolkit has them.
+`test_bop_toolkit` runs our functions on the stored dataset and compares with the stored results, so
+it does not need the toolkit. Lengths are in millimeters, as in the toolkit.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SYMMETRIES: dict[int, dict[str, Any]] = {
 
 
 def unpack(document: dict[str, Any], root: Path) -> Path:
-    """Writes the kept dataset into a folder."""
+    """Writes the stored dataset into a folder."""
     for name, text in document["files"].items():
         path = root / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -54,7 +54,7 @@ def unpack(document: dict[str, Any], root: Path) -> Path:
 
 
 def random_pose(rng: np.random.Generator, near: np.ndarray | None = None) -> np.ndarray:
-    """A pose (4, 4) in millimeters; with ``near`` one that is a little or far off that."""
+    """A random pose (4, 4) in millimeters; with ``near``, that pose with a random error."""
     T = np.eye(4)
     T[:3, :3] = Rotation.random(rng=rng).as_matrix()
     T[:3, 3] = rng.uniform([-300, -200, 400], [300, 200, 1500]).round(3)
@@ -71,7 +71,7 @@ def png(pixels: np.ndarray) -> str:
 
 
 def make_files(rng: np.random.Generator, kit: SimpleNamespace) -> dict[str, Any]:
-    """Three images of four objects with masks; models whose points mean nothing."""
+    """Three images of four objects with masks, and models of random points."""
     files: dict[str, Any] = {}
     cameras, poses, infos = {}, {}, {}
     for image in (0, 4, 12):
@@ -88,15 +88,15 @@ def make_files(rng: np.random.Generator, kit: SimpleNamespace) -> dict[str, Any]
             rotation, translation = T[:3, :3].ravel().tolist(), T[:3, 3].tolist()
             pose = {"obj_id": obj_id, "cam_R_m2c": rotation, "cam_t_m2c": translation}
             poses[str(image)].append(pose)
-            whole = np.zeros((24, 32), np.uint8)
+            amodal = np.zeros((24, 32), np.uint8)
             center, axes = rng.integers((8, 8), (24, 16)), rng.integers(3, 8, 2)
-            cv2.ellipse(whole, center.tolist(), axes.tolist(), 30, 0, 360, 255, -1)
-            visible = whole * (np.arange(32) > rng.integers(4, 18)).astype(np.uint8)
+            cv2.ellipse(amodal, center.tolist(), axes.tolist(), 30, 0, 360, 255, -1)
+            visible = amodal * (np.arange(32) > rng.integers(4, 18)).astype(np.uint8)
             name = f"{image:06d}_{index:06d}.png"
             files[f"{SCENE}/mask/{name}"], files[f"{SCENE}/mask_visib/{name}"] = map(
-                png, (whole, visible)
+                png, (amodal, visible)
             )
-            info = {"visib_fract": visible.sum() / whole.sum(), "bbox_visib": [-1] * 4}
+            info = {"visib_fract": visible.sum() / amodal.sum(), "bbox_visib": [-1] * 4}
             info |= {"bbox_obj": [-1] * 4, "px_count_visib": 0, "px_count_all": 0}
             infos[str(image)].append(info)
         files[f"{SCENE}/rgb/{image:06d}.png"] = png(rng.integers(0, 255, (5, 6, 3), np.uint8))
@@ -119,8 +119,8 @@ def make_files(rng: np.random.Generator, kit: SimpleNamespace) -> dict[str, Any]
     return files
 
 
-def ask(kit: SimpleNamespace, root: Path, rng: np.random.Generator) -> dict[str, Any]:
-    """The toolkit's answers about the dataset at ``root``."""
+def toolkit_results(kit: SimpleNamespace, root: Path, rng: np.random.Generator) -> dict[str, Any]:
+    """The toolkit's results on the dataset at ``root``."""
     scene = root / SCENE
     infos = kit.inout.load_json(root / "models_eval/models_info.json", keys_to_int=True)
     points = {
@@ -163,10 +163,6 @@ def ask(kit: SimpleNamespace, root: Path, rng: np.random.Generator) -> dict[str,
     return answers | localization(kit, root, poses, points, rng)
 
 
-def rotation_vector(R: np.ndarray) -> np.ndarray:
-    return Rotation.from_matrix(R).as_rotvec()
-
-
 def masks(kit: SimpleNamespace, scene: Path, name: str) -> dict[str, Any]:
     """Boxes, pixel counts and the visible fraction, as calc_gt_info.py measures them."""
     found: dict[str, Any] = {}
@@ -200,12 +196,12 @@ def errors(
 def localization(
     kit: SimpleNamespace, root: Path, poses: dict, points: dict, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Targets, files of estimates, and the recall of estimates that are in part wrong."""
+    """Targets, result files, and the recall of estimates, some of which are wrong."""
     infos = kit.inout.load_json(root / SCENE / "scene_gt_info.json", keys_to_int=True)
     targets, estimates, rows = [], [], []
     for image, gts in poses.items():
-        asked = kit.inout.get_im_targets(gts, infos[image], MIN_VISIBLE)
-        targets += [[3, image, obj_id, t["inst_count"]] for obj_id, t in sorted(asked.items())]
+        wanted = kit.inout.get_im_targets(gts, infos[image], MIN_VISIBLE)
+        targets += [[3, image, obj_id, t["inst_count"]] for obj_id, t in sorted(wanted.items())]
         for gt in gts:
             if rng.random() < 0.1:
                 continue
@@ -241,7 +237,7 @@ def localization(
         write_bop_results(ours, read_bop_results(theirs))
         accepted, message = kit.inout.check_bop_results(ours)
         if not accepted:
-            raise ValueError(f"the toolkit refuses our result file: {message}")
+            raise ValueError(f"the toolkit rejects our result file: {message}")
         for row, estimate in zip(kit.inout.load_bop_results(ours), estimates, strict=True):
             assert np.allclose(row["R"], estimate["R"], rtol=0, atol=1e-9)
             assert np.allclose(row["t"], estimate["t"], rtol=0, atol=1e-9)
@@ -251,7 +247,7 @@ def localization(
 
 
 def plain(value: Any) -> Any:
-    """For JSON: arrays and numbers of numpy as lists and numbers."""
+    """Converts NumPy arrays and numbers for JSON."""
     return value.tolist()
 
 
@@ -273,7 +269,7 @@ def main() -> None:
     }
     document = json.loads(json.dumps(document, default=plain))
     with tempfile.TemporaryDirectory() as scratch:
-        document["answers"] = ask(kit, unpack(document, Path(scratch)), rng)
+        document["answers"] = toolkit_results(kit, unpack(document, Path(scratch)), rng)
     options.out.write_text(json.dumps(document, default=plain, separators=(",", ":")) + "\n")
 
 

@@ -1,4 +1,4 @@
-"""Ways to damage a sound dataset, and what a kind of damage is."""
+"""Functions that damage a valid dataset, and the class of a test case."""
 
 from __future__ import annotations
 
@@ -151,16 +151,15 @@ def shift_masks(data: Path) -> None:
     every_info(data, shift_boxes)
 
 
-def invert_pair(pair: dict[str, Any]) -> None:
-    R = np.reshape(pair["cam_R_ref2second"], (3, 3))
-    pair["cam_t_ref2second"] = (-R.T @ pair["cam_t_ref2second"]).tolist()
-    pair["cam_R_ref2second"] = R.T.ravel().tolist()
+def inverted(name: str) -> Callable[[dict[str, Any]], None]:
+    """Inverts the transform of an entry, such as ``w2c``."""
 
+    def change(entry: dict[str, Any]) -> None:
+        R = np.reshape(entry[f"cam_R_{name}"], (3, 3))
+        entry[f"cam_t_{name}"] = (-R.T @ entry[f"cam_t_{name}"]).tolist()
+        entry[f"cam_R_{name}"] = R.T.ravel().tolist()
 
-def invert_world(entry: dict[str, Any]) -> None:
-    R = np.reshape(entry["cam_R_w2c"], (3, 3))
-    entry["cam_t_w2c"] = (-R.T @ entry["cam_t_w2c"]).tolist()
-    entry["cam_R_w2c"] = R.T.ravel().tolist()
+    return change
 
 
 def scaled(name: str, factor: float) -> Callable[[dict[str, Any]], None]:
@@ -176,7 +175,7 @@ MIRROR = np.diag([1.0, 1.0, -1.0])
 
 @dataclass(frozen=True)
 class Damage:
-    """What is done to a sound dataset, and what must be said: file, field, and words."""
+    """A change to a valid dataset, and the file, field, words and severity of its finding."""
 
     do: Callable[[Path], None]
     file: str

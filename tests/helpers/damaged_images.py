@@ -1,4 +1,4 @@
-"""Damage to cameras, images, models and pairs, and its findings."""
+"""Damage to cameras, images, models and pairs, and the findings that it must cause."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from helpers.damage_tools import (
     every_info,
     every_pair,
     flip_bit,
-    invert_pair,
-    invert_world,
+    inverted,
     rescale,
     scaled,
     set_key,
@@ -39,7 +38,7 @@ IMAGES = {
         camera_matrix(lambda fx, fy, cx, cy: [fx, 0, 0, 0, fy, 0, cx, cy, 1]),
         "scene_camera.json", "cam_K", "transposed", count=8,
     ),
-    "K in shares of the image": Damage(
+    "K as fractions of the image": Damage(
         camera_matrix(lambda fx, fy, cx, cy: [fx / 320, 0, cx, 0, fy / 240, cy, 0, 0, 1]),
         "scene_camera.json", "cam_K", "focal lengths are too short",
     ),
@@ -153,7 +152,7 @@ IMAGES = {
         annotate_twice, "scene_gt.json", "obj_id", "annotated twice", count=1
     ),
     "pairs inverted": Damage(
-        lambda d: every_pair(d, invert_pair),
+        lambda d: every_pair(d, inverted("ref2second")),
         "two_view_pairs.json", "T_second_ref", "it is inverted", count=4,
     ),
     "pairs in meters": Damage(
@@ -169,7 +168,7 @@ IMAGES = {
         "two_view_pairs.json", "scene_id", "scene does not exist", count=1,
     ),
     "world to camera inverted": Damage(
-        lambda d: every_camera(d, invert_world),
+        lambda d: every_camera(d, inverted("w2c")),
         "scene_camera.json", "cam_R_w2c, cam_t_w2c", "it is inverted", count=8,
     ),
     "world in meters": Damage(

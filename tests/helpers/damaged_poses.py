@@ -1,4 +1,4 @@
-"""Damage to the files and the poses of scenes, and its findings."""
+"""Damage to the files and the poses of scenes, and the findings that it must cause."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ POSES = {
         lambda d: (d / SCENE / "rgb/000000.png").write_bytes(b""),
         "rgb/000000.png", "pixels", "cannot be read",
     ),
-    "two images with one number": Damage(
+    "two images with one id": Damage(
         lambda d: shutil.copyfile(d / SCENE / "rgb/000000.png", d / SCENE / "rgb/000000.jpg"),
         "rgb/000000.png", "file", "two images have the same id",
     ),

@@ -1,4 +1,4 @@
-"""A small BOP dataset without a flaw: solids of boxes with exact masks, depth and boxes."""
+"""A small valid BOP dataset: objects made of boxes, with exact masks, depth and boxes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from helpers.boxes import box_depth
+from helpers.boxes import box_depth, orbit
 from scipy.spatial.transform import Rotation
 from two_view_pose.assets.object_model import ObjectModel
 from two_view_pose.core.geometry import invert, make_transform
@@ -19,7 +19,7 @@ from two_view_pose.pose_estimator.bop.writer import BopFrame, write_camera, writ
 SHAPE = (240, 320)
 K = np.array([[286.0, 0, 162.5], [0, 287.0, 121.0], [0, 0, 1]])
 
-# Each solid: extents and middle of its boxes, meters.
+# Each solid: extents and center of its boxes, meters.
 SOLIDS: dict[str, tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]] = {
     "bracket": (((0.14, 0.05, 0.03), (0, 0, 0)), ((0.03, 0.05, 0.09), (-0.055, 0, 0.06))),
     "stairs": (
@@ -39,7 +39,7 @@ def _part(extents: tuple[float, ...]) -> trimesh.Trimesh:
 
 def solid(name: str) -> ObjectModel:
     """One of the solids; the crate alone is symmetric, by half turns about its axes."""
-    boxes = [_part(e).apply_translation(middle) for e, middle in SOLIDS[name]]
+    boxes = [_part(e).apply_translation(center) for e, center in SOLIDS[name]]
     mesh = trimesh.util.concatenate(boxes)
     vertices = np.asarray(mesh.vertices)
     turns = [np.diag([*signs, 1.0]) for signs in ((1, 1, 1), (-1, -1, 1), (-1, 1, -1), (1, -1, -1))]
@@ -60,53 +60,43 @@ def solid(name: str) -> ObjectModel:
 
 
 def solid_depth(name: str, T_cam_obj: np.ndarray) -> np.ndarray:
-    """Depth (H, W) of a solid alone, infinite beside it."""
+    """Depth (H, W) of a solid alone, infinite in the background."""
     depth = np.full(SHAPE, np.inf, np.float32)
-    for extents, middle in SOLIDS[name]:
-        T = T_cam_obj @ make_transform(np.eye(3), np.array(middle, dtype=float))
+    for extents, center in SOLIDS[name]:
+        T = T_cam_obj @ make_transform(np.eye(3), np.array(center, dtype=float))
         part = box_depth(_Box(extents), T, K, SHAPE)  # type: ignore[arg-type]
         depth = np.minimum(depth, np.where(part > 0, part, np.inf))
     return depth
 
 
 class _Box:
-    """What `box_depth` asks of a model."""
+    """The attributes of a model that `box_depth` reads."""
 
     def __init__(self, extents: tuple[float, ...]):
         self.vertices = np.asarray(_part(extents).vertices)
 
 
-def camera(azimuth: float, elevation: float, distance: float) -> np.ndarray:
-    """T_cam_world (4, 4) of a camera that looks at the world's origin, z up; degrees, meters."""
-    a, e = np.radians([azimuth, elevation])
-    out = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    right = np.cross(-out, (0, 0, 1)) / np.cos(e)
-    return make_transform(
-        np.stack([right, np.cross(-out, right), -out]), np.array([0, 0, distance])
-    )
-
-
 def frame(T_world_obj: dict[str, np.ndarray], T_cam_world: np.ndarray) -> BopFrame:
-    """One image with all that BOP says of it."""
+    """One image with its annotations, masks and depth map."""
     poses = {name: T_cam_world @ T for name, T in T_world_obj.items()}
     depths = {name: solid_depth(name, T) for name, T in poses.items()}
     front = np.min(list(depths.values()), axis=0)
     rgb = np.full((*SHAPE, 3), (120, 130, 110), np.uint8)
     annotations, masks = [], []
     for name, T in poses.items():
-        whole = np.isfinite(depths[name])
-        visible = whole & (depths[name] == front)
+        amodal = np.isfinite(depths[name])
+        visible = amodal & (depths[name] == front)
         rgb[visible] = COLORS[name]
         masks.append(visible)
         annotations.append(
             BopAnnotation(
                 obj_id=IDS[name],
                 T_cam_obj=T,
-                visibility=visible.sum() / whole.sum(),
+                visibility=visible.sum() / amodal.sum(),
                 bbox_visib=bounding_box(visible),
-                bbox_obj=bounding_box(whole),
+                bbox_obj=bounding_box(amodal),
                 px_count_visib=int(visible.sum()),
-                px_count_all=int(whole.sum()),
+                px_count_all=int(amodal.sum()),
             )
         )
     depth = np.where(np.isfinite(front), front, 1.8)
@@ -128,7 +118,7 @@ def write_dataset(root: Path) -> None:
             for name, place in places.items()
         }
         start = rng.uniform(-30, 30)
-        cameras = [camera(start + turn, 50 + turn / 5, 0.75) for turn in (0, 20, 45, -30)]
+        cameras = [orbit(start + turn, 50 + turn / 5, 0.75) for turn in (0, 20, 45, -30)]
         frames = [frame(T_world_obj, T) for T in cameras]
         write_scene(root, "test", scene_id, frames, jpeg_quality=None)
         for second in (1, 2):

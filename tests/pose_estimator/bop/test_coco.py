@@ -109,7 +109,7 @@ def test_file_names_are_relative_to_the_scene(scene: Path) -> None:
     assert all((scene / i["file_name"]).is_file() for i in images)
 
 
-def test_scene_without_amodal_masks_is_refused(scene: Path, tmp_path: Path) -> None:
+def test_scene_without_amodal_masks_is_rejected(scene: Path, tmp_path: Path) -> None:
     (tmp_path / "rgb").mkdir()
     for name in ("scene_gt.json", "scene_gt_info.json", "rgb/000000.jpg", "rgb/000001.jpg"):
         (tmp_path / name).write_bytes((scene / name).read_bytes())

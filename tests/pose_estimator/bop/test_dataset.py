@@ -131,7 +131,7 @@ def test_pairs_round_trip_gap(tmp_path):
 
 
 @pytest.mark.parametrize("gap", [0, -1, 1.5, "5", True])
-def test_invalid_gap_is_named(tmp_path, gap):
+def test_invalid_gap_is_reported(tmp_path, gap):
     path = tmp_path / "two_view_pairs.json"
     bop_writer.write_pairs(path, [bop.BopPair(0, 0, 1, np.eye(4), {1: 2.0}, gap=1)])
     path.write_text(json.dumps([json.loads(path.read_text())[0] | {"gap": gap}]))
@@ -193,7 +193,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("name", "damage", "message"), BROKEN)
-def test_invalid_field_is_named(dataset, name, damage, message):
+def test_invalid_field_is_reported(dataset, name, damage, message):
     root, _ = dataset
     path = root / "train_pbr" / "000012" / name
     content = json.loads(path.read_text())
@@ -204,7 +204,7 @@ def test_invalid_field_is_named(dataset, name, damage, message):
     assert name in str(error.value)
 
 
-def test_missing_and_truncated_files_are_named(dataset):
+def test_missing_and_truncated_files_are_reported(dataset):
     root, _ = dataset
     data = bop.read_dataset(root, "train_pbr")
     image = data.scene(3)[0]

@@ -17,7 +17,7 @@ def test_existing_folder_has_priority_over_bop_path(tmp_path, monkeypatch):
     assert find_dataset(Path("ycbv")) == tmp_path / "bop" / "ycbv"
 
 
-def test_missing_dataset_is_named(tmp_path, monkeypatch):
+def test_missing_dataset_is_reported(tmp_path, monkeypatch):
     monkeypatch.delenv("BOP_PATH", raising=False)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match=r"no dataset tless: .* set BOP_PATH"):

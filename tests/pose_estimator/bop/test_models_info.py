@@ -47,7 +47,7 @@ def test_models_round_trip_and_load_with_their_texture(tmp_path):
     np.testing.assert_array_equal(np.asarray(mesh.visual.material.image)[..., :3], model.texture)
 
 
-def test_duplicate_object_ids_are_refused(tmp_path):
+def test_duplicate_object_ids_are_rejected(tmp_path):
     with pytest.raises(ValueError, match="'crate' and 'brick' share the id 10"):
         write_models(tmp_path, [box_model(), box_model(10, "brick")])
 

@@ -99,14 +99,14 @@ def test_header_is_optional_and_rotations_may_be_rounded(tmp_path):
         (GOOD.replace("3,7,5", "3,7,8"), r"obj_id 8 is not in the dataset.* has 5, 6"),
     ],
 )
-def test_invalid_rows_are_named_by_file_and_line(tmp_path, row, complaint):
+def test_invalid_rows_are_reported_with_file_and_line(tmp_path, row, complaint):
     path = written(tmp_path / "a.csv", HEADER, GOOD, row)
     with pytest.raises(ValueError, match=rf"a\.csv, line 3: .*{complaint}"):
         read_bop_results(path, {3: {6, 7}}, {5, 6})
     assert len(read_bop_results(written(path, HEADER, GOOD), {3: {6, 7}}, {5, 6})) == 1
 
 
-def test_missing_binary_and_empty_files_are_refused(tmp_path):
+def test_missing_binary_and_empty_files_are_rejected(tmp_path):
     with pytest.raises(ValueError, match=r"cannot read .*nothing\.csv"):
         read_bop_results(tmp_path / "nothing.csv")
     with pytest.raises(ValueError, match="cannot read"):
@@ -118,7 +118,7 @@ def test_missing_binary_and_empty_files_are_refused(tmp_path):
         read_bop_results(written(tmp_path / "empty.csv", ""))
 
 
-def test_writing_refuses_non_finite_values(tmp_path):
+def test_writing_rejects_non_finite_values(tmp_path):
     (good,) = some_results(1)
     bad = good.T_cam_obj.copy()
     bad[0, 3] = np.nan

@@ -18,16 +18,19 @@ from helpers.damage_tools import (
     every_image,
     every_pair,
     every_pose,
-    invert_pair,
+    inverted,
     opened,
     quaternion,
     truncate,
 )
-from helpers.damages import DAMAGES
+from helpers.damaged_images import IMAGES
+from helpers.damaged_poses import POSES
 from helpers.solid_scenes import write_dataset
 from two_view_pose.__main__ import main
 
 pytestmark = pytest.mark.slow
+
+DAMAGES = POSES | IMAGES
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +68,7 @@ def test_valid_dataset_has_no_findings(valid, capsys):
 
 
 @pytest.mark.parametrize("case", DAMAGES)
-def test_damage_is_named(case, data, capsys):
+def test_damage_is_reported(case, data, capsys):
     damage = DAMAGES[case]
     damage.do(data)
     code, records = check(data)
@@ -149,7 +152,7 @@ def test_overlays_show_written_and_corrected_poses(data, tmp_path, capsys):
 
 def test_pairs_are_skipped_where_poses_are_wrong(data, capsys):
     every_pose(data, lambda R, t: (R.T, -R.T @ t))
-    every_pair(data, invert_pair)
+    every_pair(data, inverted("ref2second"))
     _, records = check(data)
     assert not any(r["field"] == "T_second_ref" for r in records)
     assert "pairs of 2 scenes were not checked" in capsys.readouterr().out
@@ -173,7 +176,7 @@ def test_names_are_found_below_bop_path(data, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("option", ["scenes", "images", "overlays"])
-def test_negative_options_are_refused(option, valid, capsys):
+def test_negative_options_are_rejected(option, valid, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["check-data", str(valid), f"--{option}", "-1"])
     assert stop.value.code == 2

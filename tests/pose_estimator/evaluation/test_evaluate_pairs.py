@@ -70,12 +70,6 @@ def test_wrong_poses_have_recall_zero(opened, dataset, boxes):
     assert only_record(records, "add_over_diameter", object="mean")["value"] == 1.0
 
 
-def test_one_view_can_be_left_out(opened, dataset, boxes):
-    oracle = Oracle(opened, boxes)
-    evaluate_pairs(oracle, opened, read_pairs(dataset), boxes, views=1, progress=False)
-    assert {views for views, _ in oracle.asked} == {1}
-
-
 @pytest.mark.parametrize(("share", "recall"), [(0.095, 1.0), (0.105, 0.0)])
 def test_the_threshold_is_a_tenth_of_the_diameter(opened, dataset, boxes, share, recall):
     # A shift moves all points of the brick by the same distance: ADD is its length.
