@@ -16,6 +16,7 @@ from ..core.geometry import LINEMOD_IMAGE_SIZE, View
 from ..core.memory import release_unused_memory
 from ..core.validation import require_within
 from ..pose_estimator.bop.objects import load_objects
+from ..pose_estimator.methods import DEFAULT_METHOD
 from ..pose_estimator.types import PoseEstimate
 from .episode import Episode
 from .episode_figure import episode_figure
@@ -55,7 +56,7 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         *,
         objects: Sequence[str | Path] | Mapping[str, ObjectModel] | str | Path | None = None,
         scene: str | SceneConfig = "linemod",
-        estimator: str | Path | PoseEstimator | None = "mid",
+        estimator: str | Path | PoseEstimator | None = DEFAULT_METHOD,
         device: str = "auto",
         travel_weight: float = 0.05,
         pose_noise: PoseNoise | tuple[float, float] | None = None,

@@ -61,7 +61,7 @@ def resolve_estimator(
             return load_shipped(str(estimator), found)
         from .. import pose_estimator
 
-        return pose_estimator.load("mid", estimator, device=found)
+        return pose_estimator.load(weights=estimator, device=found)
     if not callable(getattr(estimator, "estimate", None)):
         raise InputError(
             "estimator must be the name of a method, a .safetensors file, an object with "

@@ -132,8 +132,8 @@ class TwoViewPoseEnv(CounterfactualEnv):
     | `scene`         | `"linemod"`  | `"linemod"` (light clutter), `"clutter"` (heavy),      |
     |                 |              | `"occlusion"` (between tall objects),                  |
     |                 |              | `"heap"` (eight close together), or a `SceneConfig`    |
-    | `estimator`     | `"mid"`      | a method with shipped weights (`"mid"`, `"single"`);   |
-    |                 |              | a `.safetensors` file of your own for `"mid"`; your    |
+    | `estimator`     | `"mid-pnp"`  | a method with shipped weights (`"mid"`, `"single"`);   |
+    |                 |              | a `.safetensors` file of your own for `"mid-pnp"`; your|
     |                 |              | own object with `estimate(views, object_name)`; or     |
     |                 |              | None: rendering only, pose fields zero, reward for     |
     |                 |              | travel only                                            |

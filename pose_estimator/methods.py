@@ -1,8 +1,8 @@
 """The table of estimation methods.
 
 To add one, write its estimator in ``fusion/``, most often a
-:class:`~.fusion.two_view.TwoViewEstimator` with a ``fuse``, and a row here. Commands, the study and
-its figures read the table. A method with a network of its own also needs the network's name in
+:class:`~.fusion.estimator.KeypointEstimator` with a ``fuse``, and a row here. Commands, the study
+and its figures read the table. A method with a network of its own also needs the network's name in
 ``PARTS``, the network in ``networks/container.py`` and its stage in ``training/``.
 """
 
@@ -30,6 +30,7 @@ class Method:
         needs_depth: whether the reference view must have a depth map.
         parts: the networks that it runs, of ``PARTS``.
         estimator: its class, ``module:Class`` in this package.
+        refine: how its pose is refined unless asked otherwise, one of ``REFINEMENTS``.
         color: in plots (after Okabe and Ito, for the color-blind).
         marker: in plots, as Matplotlib names it.
     """
@@ -42,6 +43,7 @@ class Method:
     estimator: str
     color: str
     marker: str
+    refine: str = "none"
 
     def estimator_class(self) -> type[Any]:
         """The class behind ``estimator``; imports torch."""
@@ -69,12 +71,38 @@ METHOD_TABLE = {
             "fusion.mid:MidFusionEstimator", "#c8401e", "o",
         ),
         Method(
+            "pnp", "one pose for the votes of two views", 2, False, ("detector", "features"),
+            "fusion.pnp:JointPnpEstimator", "#b35900", "P",
+        ),
+        Method(
+            "mid-pnp", "Mid-Fusion, refined by the votes", 2, False,
+            ("detector", "features", "volume"),
+            "fusion.mid:MidFusionEstimator", "#8250df", "X", refine="votes",
+        ),
+        Method(
             "rgbd", "one view and a depth sensor", 1, True, ("detector", "features", "points"),
             "fusion.rgbd:RgbdEstimator", "#1b8a5a", "^",
         ),
     )
 }  # fmt: skip
 METHODS = tuple(METHOD_TABLE)
+
+DEFAULT_METHOD = "mid-pnp"
+"""The most accurate one of color images; that of the environments."""
+
+REFINEMENTS = ("none", "votes")
+"""Ways to refine the pose of a method: by the votes of all views, or not."""
+
+
+def check_refinement(refine: str) -> str:
+    """Returns ``refine``.
+
+    Raises:
+        InputError: if it is not one of ``REFINEMENTS``.
+    """
+    if refine not in REFINEMENTS:
+        raise InputError(f"refine must be {' or '.join(REFINEMENTS)}, got {refine!r}")
+    return refine
 
 
 def find_method(name: str) -> Method:

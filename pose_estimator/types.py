@@ -79,12 +79,9 @@ class PoseEstimate:
         keypoints: in the reference camera, (9, 3), meters.
         keypoint_covariance: (9, 3, 3), square meters.
         rois: the detected region of each view, the reference first.
-        solver_keypoints: the input (9, 3) of the solver, if the pose was refined after it and
-            ``keypoints`` are those of the refined pose; else None.
     """
 
     T_cam_obj: np.ndarray
     keypoints: np.ndarray
     keypoint_covariance: np.ndarray
     rois: list[Roi] = field(default_factory=list)
-    solver_keypoints: np.ndarray | None = None

@@ -10,6 +10,7 @@ import tyro
 from ...core.errors import InputError
 from ...core.validation import require_within
 from ...envs.simulation.scene_kinds import SceneKindName
+from ...pose_estimator.methods import DEFAULT_METHOD
 
 PlainArguments = Annotated[dict[str, Any], tyro.conf.Suppress]
 
@@ -52,9 +53,9 @@ class TrainAgentConfig:
     """Light clutter, heavy clutter, the target between tall objects, or a dense heap of objects."""
     objects: tuple[str, ...] = ()
     """Names of objects or mesh files; by default the 13 of LineMOD."""
-    estimator: str | None = "mid"
-    """Pose estimator: `mid`, `single`, or a .safetensors file for `mid`; None renders only, and
-    every pose is zero."""
+    estimator: str | None = DEFAULT_METHOD
+    """Pose estimator: `mid-pnp`, another method, or a .safetensors file for `mid-pnp`; None renders
+    only, and every pose is zero."""
     n_envs: int | None = None
     """Parallel environments, with batched estimates; by default n_envs of the hyper-parameters."""
     seed: int = 0
@@ -128,8 +129,8 @@ class EvaluateAgentConfig:
     """Environment id; by default that of the trained policies, else TwoViewPose-v0."""
     objects: tuple[str, ...] = ()
     """Names of objects or mesh files; by default the 13 of LineMOD."""
-    estimator: str = "mid"
-    """Pose estimator: `mid`, `single`, or a .safetensors file for `mid`."""
+    estimator: str = DEFAULT_METHOD
+    """Pose estimator: `mid-pnp`, another method, or a .safetensors file for `mid-pnp`."""
     device: str = "auto"
     """Where networks run: `auto` (a GPU if there is one, else the CPU), `cpu`, `cuda`, `cuda:N` or
     `mps`."""

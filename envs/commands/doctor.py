@@ -15,6 +15,7 @@ from ...core.cpu_cores import available_cores
 from ...core.processor import instructions, limits, number_format, processor_name
 from ...core.results import versions, write_results
 from ...core.thread_waiting import describe_wait_policy
+from ...pose_estimator.methods import DEFAULT_METHOD
 
 _WARM_UP = 2
 """Estimates of each method that are not timed."""
@@ -146,7 +147,7 @@ def checks(quick: bool) -> Iterator[Check]:
         yield from check_computing()
         yield check_objects()
         yield check_estimator("single")
-        yield check_estimator("mid")
+        yield check_estimator(DEFAULT_METHOD)
 
 
 def doctor(config: DoctorConfig) -> int:

@@ -7,6 +7,7 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.validation import require_within
+from ...pose_estimator.methods import DEFAULT_METHOD
 from ..simulation.scene_kinds import SceneKindName
 
 
@@ -24,8 +25,8 @@ class RecordBankConfig:
     """Seed of the scenes: scene i is episode i of `evaluate-agent --seed`."""
     objects: tuple[str, ...] = ()
     """Names of objects or mesh files; by default the 13 of LineMOD."""
-    estimator: str = "mid"
-    """Pose estimator: `mid`, `single`, or a .safetensors file of your own for `mid`."""
+    estimator: str = DEFAULT_METHOD
+    """Pose estimator: `mid-pnp`, another method, or a .safetensors file of your own for `mid-pnp`."""
     pose_noise: tuple[float, float] | None = None
     """Standard deviations, degrees and meters, of the noise in the relative camera pose that the
     estimator is given; none = exact."""

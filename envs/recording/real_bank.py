@@ -65,7 +65,7 @@ class _RealRecorder:
         assert config.data is not None
         self._config = config
         root = find_dataset(config.data)
-        self._estimator: Any = pose_estimator.load("mid", config.weights, device=config.device)
+        self._estimator: Any = pose_estimator.load(weights=config.weights, device=config.device)
         self._models = self._estimator.networks.objects
         self._dataset = read_dataset(root, config.split)
         self._names = tuple(load_objects(None))

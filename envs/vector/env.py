@@ -18,6 +18,7 @@ from ...core.cpu_cores import available_cores
 from ...core.errors import InputError
 from ...core.thread_pools import single_core_threads
 from ...pose_estimator.fusion.batching import estimate_all
+from ...pose_estimator.methods import DEFAULT_METHOD
 from ...pose_estimator.types import PoseEstimate
 from ..base import ViewSelectionEnv
 from ..protocol import PoseEstimator, resolve_estimator
@@ -74,7 +75,7 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
             raise InputError(f"workers must be >= 0 or None, got {workers}")
         self.num_envs = num_envs
         self._estimator = resolve_estimator(
-            kwargs.pop("estimator", "mid"), kwargs.pop("device", "auto")
+            kwargs.pop("estimator", DEFAULT_METHOD), kwargs.pop("device", "auto")
         )
         # Two threads call a thread-safe estimator: while one runs Python code between networks,
         # which uses one core, the networks run for the other.

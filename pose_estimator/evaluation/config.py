@@ -7,6 +7,7 @@ from typing import Literal
 
 from ...core.errors import InputError
 from ...core.validation import require_within
+from ..methods import DEFAULT_METHOD
 
 
 @dataclass(frozen=True)
@@ -22,8 +23,11 @@ class EvaluateConfig:
     and with the dataset's own models; a missing estimate is wrong. Estimator options are ignored.
     """
 
-    method: str = "mid"
-    """`single`, `early`, `late`, `mid` or `rgbd`."""
+    method: str = DEFAULT_METHOD
+    """The paper's `early`, `late` and `mid` (Mid-Fusion); `single`; our `pnp` (one pose for the
+    votes of both views), `mid-pnp` (`mid`, refined by the votes) and `rgbd`."""
+    refine: Literal["none", "votes"] | None = None
+    """Whether the pose is refined by the votes of both views; none = as the method does."""
     weights: str = "linemod"
     """Name of shipped weights, or a .safetensors file."""
     preset: Literal["fast", "paper"] | None = None

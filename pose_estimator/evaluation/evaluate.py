@@ -27,7 +27,8 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
 
     estimator = load(
         config.method, config.weights,
-        preset=config.preset, solver=config.solver, device=config.device, threads=config.threads,
+        preset=config.preset, solver=config.solver, refine=config.refine, device=config.device,
+        threads=config.threads,
     )  # fmt: skip
     networks = estimator.networks
     dataset = read_dataset(root, config.split)

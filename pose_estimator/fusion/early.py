@@ -17,9 +17,8 @@ from ...core.geometry import grid_matrix, invert, transform
 from ..networks.cascade import CascadeViews
 from ..networks.inference import as_array
 from ..types import PoseEstimate
+from .estimator import KeypointEstimator, Sighting
 from .frontend import EncodedView
-from .symmetry_agreement import joint_pose, resolve_symmetry_ambiguity
-from .two_view import Sighting, TwoViewEstimator
 
 _MIN_MASK = 0.5
 """Probability of the object from which a pixel's depth is read."""
@@ -51,17 +50,11 @@ class DepthMap(NamedTuple):
     stride: int
 
 
-class EarlyFusionEstimator(TwoViewEstimator):
+class EarlyFusionEstimator(KeypointEstimator):
     """Early Fusion: a cascade cost volume over the views, and votes of the reference view."""
 
     def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
-        sweeps = []
-        for sighting in sightings:
-            model = self.networks.objects[sighting.object_name]
-            agreed, points = resolve_symmetry_ambiguity(sighting.encoded, model)
-            joint = joint_pose(agreed, points, model, sighting.first)
-            center = transform(joint, model.keypoints[-1])
-            sweeps.append((sighting.encoded, float(center[2]), model.diameter))
+        sweeps = [(s.encoded, float(s.joint.keypoints[-1, 2]), s.model.diameter) for s in sightings]
         maps = self.depth_maps(sweeps)
         return [self._read(s, found) for s, found in zip(sightings, maps, strict=True)]
 
@@ -106,7 +99,6 @@ class EarlyFusionEstimator(TwoViewEstimator):
 
     def _read(self, sighting: Sighting, found: DepthMap) -> PoseEstimate:
         """Solves for the pose from the depth map at the reference's votes."""
-        model = self.networks.objects[sighting.object_name]
         reference = sighting.encoded[0]
         to_grid = grid_matrix(self.networks.features.config.stride)
         to_map = grid_matrix(found.stride) @ np.linalg.inv(to_grid)
@@ -117,9 +109,9 @@ class EarlyFusionEstimator(TwoViewEstimator):
         depth, variance = read_depth(
             found.depth, found.variance, reference.mask, votes, vote_covariance, K_map
         )
-        variance = variance + behind_surface(model, sighting.first.T_cam_obj) ** 2
+        variance = variance + behind_surface(sighting.model, sighting.joint.T_cam_obj) ** 2
         keypoints, covariance = back_project(votes, vote_covariance, depth, variance, K_map)
-        return self.answer(sighting, keypoints, covariance, weigh=True)
+        return self.answer(sighting, keypoints, covariance)
 
 
 def read_depth(

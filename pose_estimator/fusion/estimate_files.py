@@ -18,7 +18,7 @@ from ...core.geometry import LINEMOD_K, View, check_intrinsics, check_rigid
 from ...core.images import read_image
 from ...core.results import write_results
 from ..input_files import read_depth_map, read_matrix
-from ..methods import METHOD_TABLE, find_method
+from ..methods import DEFAULT_METHOD, METHOD_TABLE, find_method
 
 if TYPE_CHECKING:
     from ..types import PoseEstimate
@@ -44,8 +44,9 @@ class EstimateConfig:
     relative_pose: Path | None = None
     """File (.json, .txt, .npy) with the 4x4 matrix T_second_reference in meters: it maps points in
     the reference camera's frame to the second camera's frame."""
-    method: str = "mid"
-    """Estimator: `mid`, `early`, `late` (two views), `single`, or `rgbd` (which needs --depth)."""
+    method: str = DEFAULT_METHOD
+    """Estimator: `mid-pnp`, `mid`, `pnp`, `early`, `late` (two views), `single`, or `rgbd` (which
+    needs --depth)."""
     depth: Path | None = None
     """Depth map of the reference image for `rgbd`, aligned with it: a 16-bit PNG or TIFF, or
     a .npy; 0 = unknown."""

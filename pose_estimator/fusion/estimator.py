@@ -41,11 +41,13 @@ class Sighting:
 
     Attributes:
         encoded: its views, the reference first.
+        index: of the target in the networks.
         model: the target.
         first: the best pose so far.
     """
 
     encoded: Sequence[EncodedView]
+    index: int
     model: ObjectModel
     first: PoseEstimate
 
@@ -209,7 +211,7 @@ class KeypointEstimator(ABC):
     def encode_views(
         self, targets: Sequence[Sequence[Target]], names: Sequence[str]
     ) -> list[Sighting]:
-        """Encodes views at their regions, detected jointly if not given; solves references alone."""
+        """Encodes views at their regions, detected jointly if not given; poses are of one view."""
         targets = [list(own) for own in targets]
         together = [n for n, own in enumerate(targets) if len(own) > 1 and own[0].roi is None]
         found: list[list[Roi | None]] = []
@@ -222,9 +224,8 @@ class KeypointEstimator(ABC):
         sightings = []
         for name, own in zip(names, targets, strict=True):
             views, model = [next(encoded) for _ in own], self.networks.objects[name]
-            sightings.append(
-                Sighting(views, model, solve_one_view(views[0], model, self.roi_scale))
-            )
+            first = solve_one_view(views[0], model, self.roi_scale)
+            sightings.append(Sighting(views, own[0].obj, model, first))
         return sightings
 
     def encode_again(self, sightings: Sequence[Sighting]) -> list[Sighting]:
@@ -244,7 +245,7 @@ class KeypointEstimator(ABC):
                 upright = upright_roll(T, seen.view.K)
                 upright = seen.roll if upright is None else upright
                 upright = float(np.clip(upright, -_MAX_ROLL, _MAX_ROLL))
-                targets.append(Target(seen.view, self.networks.index[model.name], roi))
+                targets.append(Target(seen.view, sighting.index, roi))
                 rolls.append([upright + roll for roll in _ROLLS])
         crops = iter(self.frontend.encode_rotated(targets, rolls))
         again = []
@@ -255,5 +256,5 @@ class KeypointEstimator(ABC):
             for seen in sighting.encoded:
                 upright_crop, *rotated = next(crops)
                 views.append(merge_votes(upright_crop, [*rotated, seen], permutations))
-            again.append(Sighting(views, model, sighting.joint))
+            again.append(Sighting(views, sighting.index, model, sighting.joint))
         return again

@@ -1,4 +1,4 @@
-"""Makes the votes of several views of a symmetric object consistent, and fits one pose to them.
+"""One pose for the votes of several views: makes them consistent, and fits it to all.
 
 Each view may vote for another of the equivalent poses. A symmetry permutes the keypoints, so the
 permutation that triangulates best is taken.
@@ -12,6 +12,8 @@ import numpy as np
 from ...assets.object_model import ObjectModel
 from ...core.geometry import invert, project, transform
 from ..solvers.multi_view_pnp import SpacePoints, multi_view_pnp
+from ..solvers.pnp import keypoints_covariance
+from ..solvers.reprojection import PnpResult
 from ..solvers.rigid import solve_pose
 from ..solvers.triangulation import triangulate
 from ..symmetry import keypoint_permutations
@@ -24,19 +26,22 @@ _OUTLIER_ERROR = 8.0
 _MAX_DEPTH_RATIO = 1.5
 """Between the depths of a fused and the previous pose; above, the fused one is rejected."""
 
+_MIN_STD = 0.02
+"""Added to the standard deviation of a method's keypoints in a refinement, in diameters."""
 
-def resolve_symmetry_ambiguity(
+
+def consistent_views(
     encoded: Sequence[EncodedView], model: ObjectModel
 ) -> tuple[list[EncodedView], np.ndarray]:
     """Permutes the votes of the further views to the equivalent pose of the reference view.
 
     Args:
-        encoded: two views or more, the reference first.
+        encoded: one view or more, the reference first.
         model: the object.
 
     Returns:
         The views, and the keypoints (9, 3) triangulated from the reference and the last view, in
-        the reference camera, meters.
+        the reference camera, meters; (0, 3) of a single view.
     """
     permutations = keypoint_permutations(model.keypoints, model.symmetries)
     reference = encoded[0]
@@ -62,26 +67,65 @@ def resolve_symmetry_ambiguity(
     return agreed, points
 
 
-def joint_pose(
-    encoded: Sequence[EncodedView], points: np.ndarray, model: ObjectModel, first: PoseEstimate
-) -> np.ndarray:
-    """Fits T_cam_obj (4, 4), in the reference camera, to the votes of all views.
+def fit_joint_pose(
+    views: Sequence[EncodedView], points: np.ndarray, model: ObjectModel, first: PoseEstimate
+) -> PoseEstimate:
+    """Fits one pose to the votes of all views.
 
     It starts from ``first`` and from the triangulated keypoints, which alone are decimeters off at
     a baseline of a few centimeters.
 
     Args:
-        encoded: the views, consistently labeled.
+        views: consistently labeled, see :func:`consistent_views`; of one alone, ``first`` is
+            returned.
         points: triangulated keypoints (9, 3).
         model: the object.
         first: the best pose so far, also returned if the fit is not consistent with it.
     """
+    if len(views) == 1:
+        return first
     starts = [first.T_cam_obj, solve_pose(model.keypoints, points, model.diameter)]
-    T = fit_multi_view_pose(encoded, model, starts)
-    return T if depth_is_consistent(T, first, model) else first.T_cam_obj
+    found = _fit(views, model, starts)
+    T = found.T_cam_obj
+    if not _depth_is_consistent(T, first, model):
+        return first
+    return PoseEstimate(
+        T_cam_obj=T,
+        keypoints=transform(T, model.keypoints),
+        keypoint_covariance=keypoints_covariance(T, model.keypoints, found.covariance),
+    )
 
 
-def depth_is_consistent(T_cam_obj: np.ndarray, first: PoseEstimate, model: ObjectModel) -> bool:
+def refined_by_votes(
+    pose: PoseEstimate,
+    views: Sequence[EncodedView],
+    model: ObjectModel,
+    joint: PoseEstimate,
+    first: PoseEstimate,
+    *,
+    with_keypoints: bool,
+) -> PoseEstimate:
+    """Fits the pose of a method to the votes of all views and its own keypoints together.
+
+    Args:
+        pose: of the method, with its keypoints and their covariances.
+        views: consistently labeled.
+        model: the object.
+        joint: the pose from the votes alone, which the result falls back on.
+        first: the best pose before it.
+        with_keypoints: whether the keypoints add to what the votes know.
+    """
+    points = None
+    if with_keypoints:
+        floor = (_MIN_STD * model.diameter) ** 2 * np.eye(3)
+        points = SpacePoints(pose.keypoints, pose.keypoint_covariance + floor)
+    T = _fit(views, model, [pose.T_cam_obj, joint.T_cam_obj], points).T_cam_obj
+    if not _depth_is_consistent(T, first, model):
+        T = joint.T_cam_obj
+    return replace(pose, T_cam_obj=T, keypoints=transform(T, model.keypoints))
+
+
+def _depth_is_consistent(T_cam_obj: np.ndarray, first: PoseEstimate, model: ObjectModel) -> bool:
     """Whether a fused pose has about the depth of the best pose before it.
 
     Views of different things, after a wrong detection, fit an object that is meters away.
@@ -91,26 +135,19 @@ def depth_is_consistent(T_cam_obj: np.ndarray, first: PoseEstimate, model: Objec
     return bool(before / _MAX_DEPTH_RATIO < depth < before * _MAX_DEPTH_RATIO)
 
 
-def fit_multi_view_pose(
-    encoded: Sequence[EncodedView],
+def _fit(
+    views: Sequence[EncodedView],
     model: ObjectModel,
     starts: Sequence[np.ndarray],
     points: SpacePoints | None = None,
-) -> np.ndarray:
-    """Fits the pose (4, 4) to votes, and to 3D keypoints if given.
-
-    Args:
-        encoded: the views, the reference first, consistently labeled.
-        model: the object.
-        starts: initial poses in the reference camera.
-        points: 3D keypoints from a fusion.
-    """
+) -> PnpResult:
+    """Fits the pose to votes, and to 3D keypoints if given, from initial poses ``starts``."""
     return multi_view_pnp(
         model.keypoints,
-        np.stack([e.vote_mean for e in encoded]),
-        np.stack([e.vote_covariance for e in encoded]),
-        [e.K_grid for e in encoded],
-        [e.view.T_cam_world for e in encoded],
+        np.stack([e.vote_mean for e in views]),
+        np.stack([e.vote_covariance for e in views]),
+        [e.K_grid for e in views],
+        [e.view.T_cam_world for e in views],
         starts,
         points,
-    ).T_cam_obj
+    )

@@ -6,30 +6,34 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...core.errors import InputError
-from ..methods import OPTIONAL_PARTS, find_method
+from ..methods import DEFAULT_METHOD, OPTIONAL_PARTS, find_method
 
 if TYPE_CHECKING:
     import torch
 
-    from .single import SingleViewEstimator
+    from .estimator import KeypointEstimator
 
 
 def load(
-    method: str = "mid",
+    method: str = DEFAULT_METHOD,
     weights: str | Path = "linemod",
     *,
     preset: str | None = None,
     solver: str = "soft",
+    refine: str | None = None,
     device: str | torch.device = "auto",
     threads: int = 0,
-) -> SingleViewEstimator:
+) -> KeypointEstimator:
     """Loads an estimator with trained weights.
 
     Args:
-        method: one of ``METHODS``: ``single``, ``early``, ``late``, ``mid`` or ``rgbd``.
+        method: one of ``METHODS``: ``single``, ``early``, ``late``, ``mid``, ``pnp``, ``mid-pnp``
+            or ``rgbd``.
         weights: name of shipped weights, or a path to a ``.safetensors`` file.
         preset: of the volumes, ``fast`` or ``paper``, to require; None accepts either.
         solver: from 3D keypoints to the pose, ``soft``, ``kabsch`` or ``hard``.
+        refine: ``votes`` to fit the pose to the votes of all views too, or ``none``; None: as the
+            method does.
         device: ``auto`` (a GPU if there is one), ``cpu``, ``cuda``, ``cuda:N`` or ``mps``.
         threads: CPU threads that an estimate may use; 0: all cores.
 
@@ -66,4 +70,5 @@ def load(
                 f"python -m two_view_pose train-estimator --stages {part} --init {weights} "
                 "--data DIR --out DIR"
             )
-    return chosen.estimator_class()(networks, solver, threads=threads)
+    refine = chosen.refine if refine is None else refine
+    return chosen.estimator_class()(networks, solver, threads, refine)

@@ -1,7 +1,6 @@
 """``rgbd``: the pose from one image and its depth map, the study's reference method."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,51 +12,43 @@ from ..networks.inference import as_array
 from ..networks.point_cloud import MIN_POINTS, sample_points
 from ..networks.point_voting import PointMaps, point_features
 from ..types import PoseEstimate, Roi
-from .frontend import EncodedView
-from .single import Request
-from .two_view import Sighting, TwoViewEstimator
+from .estimator import KeypointEstimator, Request, Sighting
+from .frontend import EncodedView, Target
+from .one_view import solve_one_view
 
 
-class RgbdEstimator(TwoViewEstimator):
+class RgbdEstimator(KeypointEstimator):
     """Points of the depth map vote for the keypoints; further views are ignored.
 
-    Like the fusions it has a second pass on a new crop. With too few points on the object it
-    returns the result of ``single``.
+    With too few points on the object it returns the result of ``single``.
     """
 
-    def estimate_batch(
-        self, requests: Sequence[Request], rois: Sequence[Sequence[Roi]] | None = None
-    ) -> list[PoseEstimate]:
-        self.targets(requests, rois)  # raises for all views what is wrong with any
+    reference_only = True
+
+    def targets(
+        self, requests: Sequence[Request], rois: Sequence[Sequence[Roi]] | None
+    ) -> list[list[Target]]:
+        found = super().targets(requests, rois)
         for views, _ in requests:
             if views[0].depth is None:
                 raise InputError("rgbd needs the depth of the reference view (View.depth)")
-        references = [(views[:1], name) for views, name in requests]
-        sightings = self.encode_views(references, None if rois is None else [r[:1] for r in rois])
-        first = self.fuse(sightings)
-        answers = [sighting.first for sighting in sightings]
-        seen = [n for n, pose in enumerate(first) if pose is not answers[n]]
-        again = self.refine([replace(sightings[n], first=first[n]) for n in seen])
-        for n, sighting, pose in zip(seen, again, self.fuse(again), strict=True):
-            answers[n] = replace(pose, rois=sighting.first.rois)
-        return answers
+        return found
 
     def fuse(self, sightings: Sequence[Sighting]) -> list[PoseEstimate]:
-        """Returns poses from the depth of encoded views; ``first`` where points are too few."""
-        answers = [sighting.first for sighting in sightings]
         found = self.inference.in_batches(self._vote, sightings)
-        for n, (sighting, votes) in enumerate(zip(sightings, found, strict=True)):
-            if votes is not None:
-                answers[n] = self.answer(sighting, *votes, weigh=False)
-        return answers
+        return [
+            solve_one_view(sighting.encoded[0], sighting.model, self.roi_scale)
+            if votes is None
+            else self.answer(sighting, *votes)
+            for sighting, votes in zip(sightings, found, strict=True)
+        ]
 
     def _vote(self, sightings: Sequence[Sighting]) -> list[tuple[np.ndarray, np.ndarray] | None]:
         """Returns keypoints (9, 3) and covariances (9, 3, 3); None where points are too few."""
         tensor = self.inference.tensor
         references = [sighting.encoded[0] for sighting in sightings]
         crops = [self._crop_depth(reference) for reference in references]
-        names = [sighting.object_name for sighting in sightings]
-        diameter = tensor(np.array([self.networks.objects[name].diameter for name in names]))
+        diameter = tensor(np.array([sighting.model.diameter for sighting in sightings]))
         mask = tensor(np.stack([r.mask for r in references]))
         cloud = sample_points(
             tensor(np.stack([depth for depth, _ in crops])),
@@ -74,11 +65,11 @@ class RgbdEstimator(TwoViewEstimator):
             vote_covariance=tensor(np.stack([r.vote_covariance for r in references])),
             K_grid=tensor(np.stack([r.K_grid for r in references])),
         )
-        index = torch.tensor([self.index(name) for name in names], device=self.inference.device)
+        index = torch.tensor([s.index for s in sightings], device=self.inference.device)
         votes = self.networks.points(maps, cloud, index, diameter)
         enough = (cloud.valid.sum(1) >= MIN_POINTS).tolist()
         parts = zip(as_array(votes.keypoints), as_array(votes.covariance), strict=True)
-        return [part if known else None for known, part in zip(enough, parts, strict=True)]
+        return [part if many else None for many, part in zip(enough, parts, strict=True)]
 
     def _crop_depth(self, reference: EncodedView) -> tuple[np.ndarray, np.ndarray]:
         """Returns the depth of a view's crop, (S, S) m, and the crop's camera (3, 3)."""

@@ -135,31 +135,14 @@ def compare_with_truth(
     """
     errors = {}
     if solvers:
-        keypoints, covariance = estimate.solver_keypoints, None
-        if keypoints is None:
-            keypoints, covariance = estimate.keypoints, _used_covariance(estimate, model)
         for solver in SOLVERS:
-            T = solve_pose(model.keypoints, keypoints, model.diameter, solver, covariance)
+            T = solve_pose(model.keypoints, estimate.keypoints, model.diameter, solver)
             errors[solver] = add_or_add_s(T, T_true, model) / model.diameter
     return {
         "error": add_or_add_s(estimate.T_cam_obj, T_true, model) / model.diameter,
         "distances": tuple(float(d) for d in keypoint_distances(estimate.keypoints, T_true, model)),
         "solver_errors": errors,
     }
-
-
-def _used_covariance(estimate: PoseEstimate, model: ObjectModel) -> np.ndarray | None:
-    """Returns the keypoints' covariance if the method's pose is weighted by it, else None.
-
-    Solvers are compared on equal terms: some methods weight confident keypoints more, some do not.
-    """
-
-    def deviation(covariance: np.ndarray | None) -> float:
-        T = solve_pose(model.keypoints, estimate.keypoints, model.diameter, covariance=covariance)
-        return float(np.abs(T - estimate.T_cam_obj).max())
-
-    covariance = estimate.keypoint_covariance
-    return covariance if deviation(covariance) < deviation(None) else None
 
 
 class _Answers:

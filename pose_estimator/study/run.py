@@ -9,8 +9,8 @@ from ...core.device import resolve_device
 from ...core.errors import InputError
 from ...core.results import commit
 from ..bop.pairs import PAIRS_FILE
+from ..fusion.estimator import KeypointEstimator
 from ..fusion.loading import load
-from ..fusion.single import SingleViewEstimator
 from ..methods import METHOD_TABLE, PARTS
 from ..networks.container import PoseNetworks
 from ..networks.weights import load_networks
@@ -70,9 +70,9 @@ class Study:
         files = {NOISY: self.config.noisy_weights, NO_POSE_LOSS: self.config.no_pose_loss_weights}
         return {training: file for training, file in files.items() if file is not None}
 
-    def load_all(self) -> dict[tuple[str, str], SingleViewEstimator]:
+    def load_all(self) -> dict[tuple[str, str], KeypointEstimator]:
         """Loads every method with every training; adds a record for those that lack networks."""
-        loaded: dict[tuple[str, str], SingleViewEstimator] = {}
+        loaded: dict[tuple[str, str], KeypointEstimator] = {}
         device, threads = self.config.device, self.config.threads
         wanted = [(method, DEFAULT_WEIGHTS, self.config.weights) for method in self.config.methods]
         wanted += [("mid", training, path) for training, path in self.other_weights().items()]
@@ -107,9 +107,7 @@ class Study:
         }
         return OutcomeLog(self.config.out / "outcomes" / f"{run.name}.jsonl", key, commit())
 
-    def measure(
-        self, run: Run, estimator: SingleViewEstimator, log: OutcomeLog
-    ) -> list[PairOutcome]:
+    def measure(self, run: Run, estimator: KeypointEstimator, log: OutcomeLog) -> list[PairOutcome]:
         """Measures a run, or resumes it, and adds a record of how it was made."""
         test, objects = self.tests[run.test], estimator.networks.objects
         outcomes = measure_run(run, estimator, test, objects, log, seed=self.config.seed)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...core.errors import InputError
 from ..bop.find_dataset import find_dataset
-from ..methods import METHOD_TABLE, OPTIONAL_PARTS
+from ..methods import DEFAULT_METHOD, METHOD_TABLE, OPTIONAL_PARTS
 from .config import STAGE_DEFAULTS, TrainEstimatorConfig
 from .objects import training_objects
 from .record import TrainingLog, header
@@ -111,9 +111,9 @@ def next_command(networks: PoseNetworks, done: Collection[str], path: Path) -> s
         )
     last = [*done][-1] if done else ""
     with_last = [m.name for m in METHOD_TABLE.values() if last in m.parts]
-    method = with_last[0] if last in OPTIONAL_PARTS else "mid"
-    if method == "mid" and "volume" not in networks.trained:
-        method = "late"  # the best two-view method that needs 2D features only
+    method = with_last[0] if last in OPTIONAL_PARTS else DEFAULT_METHOD
+    if method == DEFAULT_METHOD and "volume" not in networks.trained:
+        method = "pnp"  # the best two-view method that needs 2D features only
     return f"evaluate them: python -m two_view_pose evaluate --method {method} --weights {path}"
 
 

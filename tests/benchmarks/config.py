@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from two_view_pose.pose_estimator.fusion.single import SingleViewEstimator
+    from two_view_pose.pose_estimator.fusion.estimator import KeypointEstimator
 
 
 class Group(NamedTuple):
@@ -95,7 +95,7 @@ class BenchConfig:
             skipped.add("cost")  # it is in no table
         return tuple(g for g in GROUPS if g in (self.only or GROUPS) and g not in skipped)
 
-    def load_mid(self) -> SingleViewEstimator:
+    def load_mid(self) -> KeypointEstimator:
         """Mid-Fusion with the weights, for groups that need them."""
         from two_view_pose.pose_estimator import load
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from helpers.votes import T_WORLD_OBJ, PerfectVotes, camera, check_sound, error, view
 from two_view_pose.core.geometry import LINEMOD_K, View, transform
+from two_view_pose.pose_estimator.fusion.estimator import Sighting
 from two_view_pose.pose_estimator.fusion.late import LateFusionEstimator
-from two_view_pose.pose_estimator.fusion.two_view import Sighting
+from two_view_pose.pose_estimator.fusion.one_view import solve_one_view
 from two_view_pose.pose_estimator.types import PoseEstimate
 
 
@@ -34,8 +35,9 @@ def test_the_covariance_of_keypoints_is_calibrated(networks):
     scaled = []
     for _ in range(20):
         encoded = [votes.encode_view(view(degrees), 0) for degrees in (20, 50)]
-        first = estimator.from_one_view(encoded[0], "brick")
-        [found] = estimator.fuse([Sighting(encoded, "brick", first)])
+        model = networks.objects["brick"]
+        first = solve_one_view(encoded[0], model, 1.4)
+        [found] = estimator.fuse([Sighting(encoded, 0, model, first)])
         off = found.keypoints - truth
         scaled.append(np.einsum("ki,kij,kj->k", off, np.linalg.inv(found.keypoint_covariance), off))
     # The squares of three standard normal numbers.
@@ -49,6 +51,7 @@ def test_the_relative_pose_is_used(networks):
     wrong = View(pair[1].image, LINEMOD_K, camera(60))
     object.__setattr__(encoded[1], "view", wrong)
     estimator = LateFusionEstimator(networks)
-    first = estimator.from_one_view(encoded[0], "brick")
-    [found] = estimator.fuse([Sighting(encoded, "brick", first)])
+    model = networks.objects["brick"]
+    first = solve_one_view(encoded[0], model, 1.4)
+    [found] = estimator.fuse([Sighting(encoded, 0, model, first)])
     assert error(found, networks, "brick", 20) > 0.02

@@ -7,9 +7,10 @@ import pytest
 import torch
 from helpers.votes import PerfectVotes, check_sound, error, view
 from two_view_pose.core.geometry import View, invert, make_transform
+from two_view_pose.pose_estimator.fusion.estimator import Sighting
 from two_view_pose.pose_estimator.fusion.mid import MidFusionEstimator
+from two_view_pose.pose_estimator.fusion.one_view import solve_one_view
 from two_view_pose.pose_estimator.fusion.single import SingleViewEstimator
-from two_view_pose.pose_estimator.fusion.two_view import Sighting
 from two_view_pose.pose_estimator.networks.container import PoseNetworks
 from two_view_pose.pose_estimator.types import PoseEstimate
 
@@ -58,11 +59,12 @@ def test_the_world_frame_does_not_matter(trusting):
     estimator = MidFusionEstimator(trusting)
     frontend = PerfectVotes(trusting)
     encoded = [frontend.encode_view(v, 0) for v in pair]
-    first = estimator.from_one_view(encoded[0], "brick")
-    [here] = estimator.fuse([Sighting(encoded, "brick", first)])
+    model = trusting.objects["brick"]
+    first = solve_one_view(encoded[0], model, 1.4)
+    [here] = estimator.fuse([Sighting(encoded, 0, model, first)])
     for e, v in zip(encoded, elsewhere, strict=True):
         object.__setattr__(e, "view", v)
-    [there] = estimator.fuse([Sighting(encoded, "brick", first)])
+    [there] = estimator.fuse([Sighting(encoded, 0, model, first)])
     assert np.allclose(here.T_cam_obj, there.T_cam_obj, atol=1e-4)
 
 

@@ -36,7 +36,10 @@ def test_another_preset_names_the_training_command(saved):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"method": "latest"}, "unknown method 'latest'; there are single, early, late, mid, rgbd"),
+        (
+            {"method": "latest"},
+            "unknown method 'latest'; there are single, early, late, mid, pnp, mid-pnp, rgbd",
+        ),
         ({"preset": "quick"}, "unknown preset 'quick'; there are fast, paper"),
         ({"solver": "best"}, "unknown solver 'best'; there are soft, kabsch, hard"),
         ({"device": "tpu"}, "device must be auto, cpu, cuda, cuda:N or mps, got 'tpu'"),
@@ -58,10 +61,9 @@ def test_networks_are_cached_for_each_device(saved, monkeypatch):
 
 
 def test_threads_are_passed_on(saved, monkeypatch):
-    monkeypatch.setattr(
-        single_view, "SingleViewEstimator", lambda networks, solver, threads: (solver, threads)
-    )
-    assert pose_estimator.load("single", saved, solver="hard", threads=3) == ("hard", 3)
+    monkeypatch.setattr(single_view, "SingleViewEstimator", lambda networks, *options: options)
+    found = pose_estimator.load("single", saved, solver="hard", threads=3, refine="votes")
+    assert found == ("hard", 3, "votes")
 
 
 @pytest.mark.cuda

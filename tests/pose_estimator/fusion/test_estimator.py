@@ -1,4 +1,4 @@
-"""What the fusions share: detection, second pass, symmetry."""
+"""What the methods share: detection, second pass, symmetry, refinement."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ from two_view_pose.core.geometry import (
     rotation_matrix_2d,
     transform,
 )
+from two_view_pose.pose_estimator.fusion.estimator import KeypointEstimator
+from two_view_pose.pose_estimator.fusion.joint_pnp import (
+    consistent_views,
+    fit_joint_pose,
+    refined_by_votes,
+)
 from two_view_pose.pose_estimator.fusion.late import LateFusionEstimator
 from two_view_pose.pose_estimator.fusion.mid import MidFusionEstimator
+from two_view_pose.pose_estimator.fusion.one_view import solve_one_view
+from two_view_pose.pose_estimator.fusion.pnp import JointPnpEstimator
 from two_view_pose.pose_estimator.fusion.single import SingleViewEstimator
-from two_view_pose.pose_estimator.fusion.symmetry_agreement import (
-    fit_multi_view_pose,
-    joint_pose,
-    resolve_symmetry_ambiguity,
-)
-from two_view_pose.pose_estimator.fusion.two_view import TwoViewEstimator
-from two_view_pose.pose_estimator.solvers.multi_view_pnp import SpacePoints
 from two_view_pose.pose_estimator.types import PoseEstimate, Roi, roi_of_pose, upright_roll
 
-FUSIONS = [LateFusionEstimator, MidFusionEstimator]
+FUSIONS = [LateFusionEstimator, MidFusionEstimator, JointPnpEstimator]
 
 
 def looking(networks, method, views, rois=None) -> tuple[PoseEstimate, list]:
@@ -49,7 +50,7 @@ def test_two_passes_over_every_view(networks, method):
     nothing, again = rois_seen[:2], rois_seen[2:]
     assert nothing == [None, None]
     assert len(again) == 2
-    # The second pass crops at the first fusion's pose, whatever that is worth.
+    # The second pass crops at the pose from all votes.
     for roi, degrees in zip(again, (20, 70), strict=True):
         assert np.abs(roi.center - true_roi(networks, degrees).center).max() < 30
     # The answer says where the object was found at first.
@@ -57,9 +58,9 @@ def test_two_passes_over_every_view(networks, method):
 
 
 @pytest.mark.parametrize("method", [SingleViewEstimator, *FUSIONS])
-def test_one_view_has_one_pass(networks, method):
+def test_one_view_has_two_passes_and_is_solved_alone(networks, method):
     found, rois_seen = looking(networks, method, [view(20)])
-    assert rois_seen == [None]
+    assert rois_seen[0] is None and len(rois_seen) == 2
     assert np.array_equal(
         found.T_cam_obj, looking(networks, SingleViewEstimator, [view(20)])[0].T_cam_obj
     )
@@ -106,7 +107,7 @@ def test_symmetric_votes_are_permuted_to_the_reference(networks):
     model = networks.objects["crate"]
     frontend = PerfectVotes(networks, (0, 1, 1))
     encoded = [frontend.encode_view(view(degrees), 1) for degrees in (20, 65, -10)]
-    agreed, points = resolve_symmetry_ambiguity(encoded, model)
+    agreed, points = consistent_views(encoded, model)
     truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
     np.testing.assert_allclose(points, truth, atol=1e-4)
     for seen, degrees in zip(agreed, (20, 65, -10), strict=True):
@@ -124,8 +125,9 @@ def test_the_joint_pose_is_the_truth_whatever_the_baseline(networks, degrees):
     encoded = [frontend.encode_view(view(d), 0) for d in (20, degrees)]
     truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
     wrong = truth + np.array([0, 0, 0.3])  # as a triangulation with hardly any baseline may be
-    T = joint_pose(encoded, wrong, model, first)
-    np.testing.assert_allclose(transform(T, model.keypoints), truth, atol=2e-3)
+    joint = fit_joint_pose(encoded, wrong, model, first)
+    np.testing.assert_allclose(joint.keypoints, truth, atol=2e-3)
+    assert (np.linalg.eigvalsh(joint.keypoint_covariance) > 0).all()
 
 
 def test_contradictory_votes_keep_the_previous_pose(networks):
@@ -136,8 +138,7 @@ def test_contradictory_votes_keep_the_previous_pose(networks):
     encoded = [frontend.encode_view(view(20), 0), frontend.encode_view(view(70), 0)]
     lost = replace(encoded[1], view=View(encoded[1].view.image, LINEMOD_K, away))
     far = np.full((9, 3), 50.0)
-    joint = joint_pose([encoded[0], lost], far, model, first)
-    assert np.array_equal(joint, first.T_cam_obj)
+    assert fit_joint_pose([encoded[0], lost], far, model, first) is first
 
 
 def test_a_joint_pose_of_inconsistent_depth_is_rejected(networks):
@@ -153,20 +154,19 @@ def test_a_joint_pose_of_inconsistent_depth_is_rejected(networks):
     elsewhere = camera(23) @ np.linalg.inv(camera(20)) @ T
     votes = project(transform(elsewhere, model.keypoints), encoded[1].K_grid)
     encoded[1] = replace(encoded[1], vote_mean=votes)
-    joint = joint_pose(encoded, transform(T, model.keypoints), model, first)
-    depth = float(joint[2, 3] / first.T_cam_obj[2, 3])
+    joint = fit_joint_pose(encoded, transform(T, model.keypoints), model, first)
+    depth = float(joint.T_cam_obj[2, 3] / first.T_cam_obj[2, 3])
     assert 1 / 1.5 < depth < 1.5
 
 
 def test_collapsed_votes_leave_the_object_at_the_depth_of_its_region(networks):
     """All votes in one point fit an object that is far away."""
     model = networks.objects["brick"]
-    estimator = SingleViewEstimator(networks)
     frontend = PerfectVotes(networks)
     encoded = frontend.encode_view(view(20), 0)
-    assert estimator.from_one_view(encoded, "brick").T_cam_obj[2, 3] == pytest.approx(0.9, abs=0.1)
+    assert solve_one_view(encoded, model, 1.4).T_cam_obj[2, 3] == pytest.approx(0.9, abs=0.1)
     middle = encoded.vote_mean[-1] + 0.02 * (encoded.vote_mean - encoded.vote_mean[-1])
-    found = estimator.from_one_view(replace(encoded, vote_mean=middle), "brick")
+    found = solve_one_view(replace(encoded, vote_mean=middle), model, 1.4)
     region = found.rois[0]
     placed = roi_of_pose(found.T_cam_obj, LINEMOD_K, model.diameter, 1.4)
     assert placed.side == pytest.approx(region.side, rel=0.01)
@@ -176,32 +176,54 @@ def test_collapsed_votes_leave_the_object_at_the_depth_of_its_region(networks):
     assert found.keypoint_covariance[0, 2, 2] > (0.3 * model.diameter) ** 2
 
 
-def test_3d_keypoints_and_votes_are_weighted_by_their_covariances(networks):
-    """The points lie 2 cm deeper than the votes say."""
+def test_a_refinement_weighs_keypoints_and_votes_by_their_covariances(networks):
+    """The keypoints lie 2 cm deeper than the votes say."""
     model = networks.objects["brick"]
     first, _ = looking(networks, SingleViewEstimator, [view(20)])
     frontend = PerfectVotes(networks)
     encoded = [frontend.encode_view(view(d), 0) for d in (20, 65)]
     truth = transform(camera(20) @ T_WORLD_OBJ, model.keypoints)
     deeper = truth + np.array([0, 0, 0.02])
-    depths = []
-    for deviation in (1.0, 1e-4):
-        points = SpacePoints(deeper, np.tile(np.eye(3) * deviation**2, (9, 1, 1)))
-        T = fit_multi_view_pose(encoded, model, [first.T_cam_obj], points)
-        depths.append(transform(T, model.keypoints)[-1, 2] - truth[-1, 2])
-    assert depths[0] == pytest.approx(0.0, abs=1e-4)
-    assert depths[1] == pytest.approx(0.02, abs=1e-3)
-    with pytest.raises(ValueError, match="points must be"):
-        fit_multi_view_pose(
-            encoded, model, [first.T_cam_obj], SpacePoints(deeper[:8], np.ones((8, 3, 3)))
-        )
+    depths = {}
+    for deviation, use in ((1.0, True), (0.0, True), (0.0, False)):
+        covariance = np.tile(np.eye(3) * deviation**2, (9, 1, 1))
+        pose = replace(first, keypoints=deeper, keypoint_covariance=covariance)
+        found = refined_by_votes(pose, encoded, model, first, first, with_keypoints=use)
+        depths[deviation, use] = found.keypoints[-1, 2] - truth[-1, 2]
+    assert depths[1.0, True] == pytest.approx(0.0, abs=1e-4)
+    assert 1e-4 < depths[0.0, True] < 0.02
+    assert depths[0.0, False] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_refinement_of_inconsistent_depth_falls_back_on_the_votes(networks):
+    model = networks.objects["brick"]
+    first, _ = looking(networks, SingleViewEstimator, [view(20)])
+    near = replace(first, T_cam_obj=make_transform(np.eye(3), np.array([0, 0, 0.3])))
+    frontend = PerfectVotes(networks)
+    encoded = [frontend.encode_view(view(d), 0) for d in (20, 65)]
+    found = refined_by_votes(first, encoded, model, near, near, with_keypoints=False)
+    assert np.array_equal(found.T_cam_obj, near.T_cam_obj)
+
+
+@pytest.mark.parametrize("method", [MidFusionEstimator, LateFusionEstimator])
+def test_refine_makes_the_pose_that_of_the_votes(networks, method):
+    plain, refined = method(networks), method(networks, refine="votes")
+    truth = transform(camera(20) @ T_WORLD_OBJ, networks.objects["brick"].keypoints)
+    errors = []
+    for estimator in (plain, refined):
+        estimator.frontend = PerfectVotes(networks, noise=0.5)
+        found = estimator.estimate([view(20), view(25)], "brick")
+        errors.append(np.linalg.norm(found.keypoints - truth, axis=1).mean())
+    assert errors[1] < 0.5 * errors[0]
 
 
 def test_wrong_calls_are_refused(networks):
     with pytest.raises(ValueError, match="unknown solver 'best'; there are soft, kabsch, hard"):
         MidFusionEstimator(networks, "best")
     with pytest.raises(TypeError, match="fuse"):
-        TwoViewEstimator(networks)
+        KeypointEstimator(networks)
+    with pytest.raises(ValueError, match="refine must be none or votes, got 'twice'"):
+        MidFusionEstimator(networks, refine="twice")
 
 
 @pytest.mark.parametrize("roll", [-2.5, -0.7, 0.0, 0.3, 1.2])
@@ -255,7 +277,7 @@ def test_without_an_upright_roll_that_of_the_first_pass_is_kept(networks):
 
     estimator = LateFusionEstimator(networks)
     estimator.frontend = Recording(networks)
-    [sighting] = estimator.encode_views([([view(20)], "brick")])
+    [sighting] = estimator.encode_views(estimator.targets([([view(20)], "brick")], None), ["brick"])
     above = make_transform(np.diag([1.0, -1, -1]), np.array([0, 0, 0.9]))
-    estimator.refine([replace(sighting, first=replace(sighting.first, T_cam_obj=above))])
+    estimator.encode_again([replace(sighting, first=replace(sighting.first, T_cam_obj=above))])
     assert asked == [0.5]
