@@ -26,7 +26,7 @@ class RecordBankConfig:
     objects: tuple[str, ...] = ()
     """Names of objects or mesh files; by default the 13 of LineMOD."""
     estimator: str = DEFAULT_METHOD
-    """Pose estimator: `mid-pnp`, another method, or a .safetensors file of your own for `mid-pnp`."""
+    """Pose estimator: `mid-pnp`, another method, or a .safetensors file for `mid-pnp`."""
     pose_noise: tuple[float, float] | None = None
     """Standard deviations, degrees and meters, of the noise in the relative camera pose that the
     estimator is given; none = exact."""
