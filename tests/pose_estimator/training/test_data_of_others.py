@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from helpers.solid_scenes import COLORS, SHAPE, SOLIDS, K, camera, frame, solid
+from helpers.boxes import orbit
+from helpers.solid_scenes import COLORS, SHAPE, SOLIDS, K, frame, solid
 from scipy.spatial.transform import Rotation
 from two_view_pose.__main__ import main
 from two_view_pose.assets import OBJECT_NAMES, load_object
@@ -37,7 +38,7 @@ def image(rng: np.random.Generator, azimuth: float, turn: float) -> BopFrame:
         )
         for name, place in places.items()
     }
-    seen = frame(T_world_obj, camera(azimuth, 50, 0.8))
+    seen = frame(T_world_obj, orbit(azimuth, 50, 0.8))
     named = zip(places, seen.annotations, strict=True)
     annotations = [replace(a, obj_id=NUMBERS[name]) for name, a in named]
     noise = rng.integers(-8, 9, seen.rgb.shape)
