@@ -27,10 +27,10 @@ class CompareConfig:
     """Which methods to run: single, early, late, mid, rgbd."""
     weights: str = "linemod"
     """Name of shipped weights, or a .safetensors file; it may lack the networks of some methods."""
-    noisy_weights: str | None = None
-    """Weights trained with errors of the relative pose, to compare under such errors."""
-    no_pose_loss_weights: str | None = None
-    """Weights trained without the loss on the pose, to compare with --weights."""
+    compare_weights: tuple[str, ...] = ()
+    """Further weights for `mid`, NAME=FILE each, to compare with --weights on the same pairs: other
+    presets or trainings. Those with the name `pose-noise` are measured with inexact relative poses
+    too."""
     data: Path | None = None
     """Folder of the two tests, made where missing; none = data/ in --out."""
     pairs: int = 0
@@ -55,6 +55,12 @@ class CompareConfig:
             raise InputError(
                 f"methods must be some of {', '.join(METHODS)}, got {', '.join(self.methods)}"
             )
+        names = [text.partition("=")[0] for text in self.compare_weights]
+        wrong = [t for t in self.compare_weights if not all(t.partition("="))]
+        if wrong or len(set(names)) < len(names):
+            raise InputError(
+                f"compare_weights must be NAME=FILE with distinct names, got {self.compare_weights}"
+            )
         require_within(self, 0, math.inf, "pairs", "noise_pairs", "images", "seed", "threads")
 
     @property
@@ -65,6 +71,11 @@ class CompareConfig:
     def reduced(self) -> CompareConfig:
         """Returns the options themselves, or with few pairs for a quick run."""
         return replace(self, noise_pairs=1, images=1) if self.quick else self
+
+    @property
+    def other_weights(self) -> dict[str, str]:
+        """The files of ``compare_weights`` by name."""
+        return dict(text.split("=", 1) for text in self.compare_weights)
 
     @property
     def cost_repeats(self) -> int:
@@ -83,10 +94,12 @@ class CompareConfig:
             words.append("--quick")
         if set(self.methods) != set(METHODS):
             words += ["--methods", *self.methods]
-        files = ("weights", "noisy_weights", "no_pose_loss_weights")
-        for name in (*files, "pairs", "noise_pairs", "seed"):
+        for name in ("weights", "pairs", "noise_pairs", "seed"):
             value = getattr(self, name)
             if value != getattr(type(self), name):
-                text = Path(value).name if name in files else str(value)
+                text = Path(value).name if name == "weights" else str(value)
                 words += [f"--{name.replace('_', '-')}", text]
+        if self.compare_weights:
+            others = [f"{name}={Path(file).name}" for name, file in self.other_weights.items()]
+            words += ["--compare-weights", *others]
         return " ".join(words)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...core.plotting import new_figure, save, tidy
 from ..methods import METHOD_TABLE
+from . import published
 from .plan import DEFAULT_WEIGHTS, NOISY, TESTS, has_both_errors
 
 if TYPE_CHECKING:
@@ -27,15 +28,18 @@ def draw_charts(records: Records, folder: Path) -> dict[str, Path]:
     """
     recalls = [r for r in records if r["metric"] == "keypoint_recall"]
     by_test = {scene: [r for r in recalls if r["scene"] == scene] for scene in TESTS}
-    charts = {f"recall_{scene}": recall_by_distance(rs) for scene, rs in by_test.items() if rs}
+    charts = {f"recall_{scene}": recall_by_baseline(rs) for scene, rs in by_test.items() if rs}
     noise = [r for r in records if r["metric"].startswith("noise_")]
     if noise:
         charts["noise"] = accuracy_under_noise(noise)
     return {name: save(figure, folder / f"{name}.svg") for name, figure in charts.items()}
 
 
-def recall_by_distance(records: Records) -> Figure:
-    """Draws Figure 4: keypoint recall against camera distance, a panel for each object."""
+def recall_by_baseline(records: Records) -> Figure:
+    """Draws Figure 4: keypoint recall by the distance between the cameras, an object a panel.
+
+    The six objects of the paper's figure are marked with a star.
+    """
     objects = [*sorted({r["object"] for r in records} - {"mean"}), "mean"]
     rows = -(-len(objects) // _COLUMNS)
     figure = new_figure(12.5, 2.15 * rows + 0.7)
@@ -43,10 +47,11 @@ def recall_by_distance(records: Records) -> Figure:
     for axis, name in zip(axes.flat, objects, strict=False):
         for method, row in METHOD_TABLE.items():
             mine = [r for r in records if r["method"] == method and r["object"] == name]
-            points = [(r["distance"], r) for r in mine]
+            points = [(100 * r["baseline"], r) for r in mine]
             _plot(axis, points, 100.0, color=row.color, marker=row.marker, label=method)
         bold = "bold" if name == "mean" else "normal"
-        axis.set_title("all objects" if name == "mean" else name, fontsize=10.5, fontweight=bold)
+        title = "all objects" if name == "mean" else name + " *" * (name in published.FIGURE_4)
+        axis.set_title(title, fontsize=10.5, fontweight=bold)
         axis.set_ylim(-3, 103)
         tidy(axis)
     for axis in axes.flat[len(objects) :]:
@@ -54,7 +59,7 @@ def recall_by_distance(records: Records) -> Figure:
     for column in axes.T:
         shown = [axis for axis in column if axis.get_visible()]
         if shown:
-            shown[-1].set_xlabel("camera distance (m)", fontsize=9)
+            shown[-1].set_xlabel("distance between the cameras (cm)", fontsize=9)
             shown[-1].tick_params(labelbottom=True)
     for row in axes:
         row[0].set_ylabel("found (%)", fontsize=9)

@@ -18,7 +18,7 @@ class PairOutcome:
         gap: frames between the views.
         error: ADD, or ADD-S for symmetric objects, in diameters.
         distances: error of each of the nine 3D keypoints, m.
-        camera_distance: from the reference camera to the object's origin, m.
+        camera_baseline: distance between the centers of the two cameras, m.
         visibility: of the target in the reference view, 0 to 1.
         baseline: angle between the views as seen from the object, degrees.
         solver_errors: ``error`` of the pose that each solver finds from the same keypoints.
@@ -31,7 +31,7 @@ class PairOutcome:
     gap: int
     error: float
     distances: tuple[float, ...]
-    camera_distance: float
+    camera_baseline: float
     visibility: float
     baseline: float
     seconds: float

@@ -36,7 +36,7 @@ from ..types import PoseEstimate
 from .log import OutcomeLog, PairOutcome
 from .plan import Run, choose_pairs, perturbed_pose
 
-OUTCOME_FORMAT = 1
+OUTCOME_FORMAT = 2
 """Part of the key of logged outcomes. Raise it with every change of this module, of ``plan.py`` or
 of an estimator after which a pair would be measured differently."""
 
@@ -118,7 +118,7 @@ def _outcome(
         second_image_id=pair.second_image_id,
         object_name=case.name,
         gap=pair.gap,
-        camera_distance=float(np.linalg.norm(truth.T_cam_obj[:3, 3])),
+        camera_baseline=float(np.linalg.norm(pair.T_second_ref[:3, 3])),
         visibility=truth.visibility,
         baseline=baseline_at(pair, truth.obj_id),
         seconds=seconds,

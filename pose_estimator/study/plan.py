@@ -22,11 +22,8 @@ TESTS = ("linemod", "occlusion")
 DEFAULT_WEIGHTS = ""
 """Name of the weights that the study is about; other trainings have a name of their own."""
 
-NOISY = "pose noise"
+NOISY = "pose-noise"
 """Weights trained with errors of the relative pose."""
-
-NO_POSE_LOSS = "no pose loss"
-"""Weights trained without the loss on the pose itself."""
 
 ROTATIONS = (0.0, 0.5, 1.0, 1.5, 2.0)
 """Errors of the relative pose, degrees."""
@@ -146,7 +143,7 @@ def plan(
         for training in trainings:
             if training != DEFAULT_WEIGHTS:
                 for test in TESTS:
-                    yield Run("training", test, "mid", training, (BEST_GAP,), per_object, per_gap)
+                    yield Run("training", test, "mid", training, GAPS, per_object, per_gap)
     # `late` has no second training: triangulation learns nothing from an inexact pose.
     noisy = [("mid", DEFAULT_WEIGHTS), ("mid", NOISY), ("late", DEFAULT_WEIGHTS)]
     extremes = [(r, t) for r, t in NOISE if {r, t} <= {0.0, ROTATIONS[-1], TRANSLATIONS[-1]}]

@@ -58,6 +58,8 @@ def report_page(
         methods={r.get("method") for r in records if r["metric"] == "add_s_recall"},
         keypoint_tables=_by_test(records, report_tables.keypoint_table),
         recall_tables=_by_test(records, report_tables.recall_table),
+        published_tables=_by_test(records, lambda _, test: report_tables.published_table(test)),
+        visibility_table=report_tables.visibility_table(records),
         solver_table=report_tables.solver_table(records),
         noise_table=report_tables.noise_table(records),
         training_table=report_tables.training_table(records),

@@ -7,11 +7,24 @@ from typing import Any
 from .. import METHODS
 from . import published
 from .plan import BEST_GAP, DEFAULT_WEIGHTS, GAPS, has_both_errors
+from .tables import VISIBILITIES
 
 Records = Sequence[Mapping[str, Any]]
 Record = Mapping[str, Any] | None
 
 TESTS = {"linemod": "LineMOD-style", "occlusion": "Occlusion-style"}
+
+REFINED = ("pnp", "mid-pnp")
+"""Methods whose keypoints are those of a pose that was fitted to the votes of both views."""
+
+PREDICTED = tuple(method for method in METHODS if method not in REFINED)
+"""Methods whose own keypoints are measured."""
+
+PAPER = ("early", "late", "mid", "REDE")
+"""The columns of the paper's Table 1; REDE has depth."""
+
+SYMMETRIC = ("eggbox", "glue")
+"""Of LineMOD's objects."""
 
 _FORMATS = {"mm": (1000.0, ".1f"), "%": (100.0, ".1f"), "points": (100.0, "+.1f")}
 """Unit -> scale and format: meters as mm, shares as percent or percentage points."""
@@ -44,26 +57,39 @@ def find(records: Records, **tags: Any) -> Record:
 
 
 def keypoint_table(records: Records, scene: str) -> Table | None:
-    """Table 1: mean 3D keypoint distance by gap, mm."""
-    # Those that solve 3D keypoints for the pose, as the paper orders them.
-    methods = [m for m in dict.fromkeys(("early", "mid", *METHODS)) if m != "single"]
-    tags = {"metric": "keypoint_distance", "scene": scene, "object": "mean"}
+    """Table 1: mean distance of the predicted 3D keypoints by gap, mm."""
+    methods, tags = [*PREDICTED, *REFINED], {"scene": scene}
+    by_gap = {"metric": "keypoint_distance", "object": "mean", **tags}
     rows = []
     for gap in (*GAPS, "mean"):
-        results = [find(records, **tags, method=method, gap=gap) for method in methods]
-        paper = _paper_cell("keypoint_distance", scene, gap, "mm")
-        rows.append([Cell(str(gap)), *_ranked(results, "mm", min), paper])
-    medians = []
-    tags = {"metric": "keypoint_distance_median", "scene": scene}
-    for method in methods:
-        found = [find(records, **tags, method=method, gap=gap) for gap in GAPS]
-        if any(found):
-            values = ", ".join(_format(record["value"], "mm") for record in found if record)
-            medians.append(f"{method} {values}")
-    groups = [("", 1), ("ours, simulated", len(methods)), _paper_group(scene)]
-    head = [*map(Cell, ("gap", *methods)), Cell("mid", published=True)]
-    note = f"Medians at gaps 1, 5 and 10: {'; '.join(medians)} mm."
-    return Table(groups, head, rows, [note], last_is_mean=True) if medians else None
+        paper = published.keypoint_distances(gap) if scene == "linemod" else {}
+        cells = [
+            *_ranked([find(records, **by_gap, method=m, gap=gap) for m in PREDICTED], "mm", min),
+            *_ranked([find(records, **by_gap, method=m, gap=gap) for m in REFINED], "mm", min),
+        ]
+        theirs = [Cell(f"{1000 * paper[m]:g}" if m in paper else "", published=True) for m in PAPER]
+        rows.append([Cell(str(gap)), *cells, *theirs])
+    notes = []
+    for metric, title in (
+        ("keypoint_distance_median", "Medians"),
+        ("capped_keypoint_distance", "Means of distances capped at 100 mm"),
+    ):
+        results = {}
+        for method in methods:
+            found = [find(records, metric=metric, **tags, method=method, gap=gap) for gap in GAPS]
+            if any(found):
+                values = ", ".join(_format(record["value"], "mm") for record in found if record)
+                results[method] = f"{method} {values}"
+        if results:
+            notes.append(f"{title} at gaps 1, 5 and 10: {'; '.join(results.values())} mm.")
+    if not notes:
+        return None
+    groups = [
+        ("", 1), ("ours, predicted", len(PREDICTED)), ("ours, from the votes", len(REFINED)),
+        (f"published, {published.TESTS[scene]}", len(PAPER)),
+    ]  # fmt: skip
+    head = [*map(Cell, ("gap", *methods)), *(Cell(name, published=True) for name in PAPER)]
+    return Table(groups, head, rows, notes, last_is_mean=True)
 
 
 def recall_table(records: Records, scene: str) -> Table | None:
@@ -72,27 +98,58 @@ def recall_table(records: Records, scene: str) -> Table | None:
     recalls = [r for r in at_best if r["metric"] == "add_s_recall"]
     if not recalls:
         return None
+    paper = published.recalls(scene)
     rows = []
-    paper = {"mean": _paper_cell("add_s_recall", scene, BEST_GAP, "%")}
     for name in [*sorted({r["object"] for r in recalls} - {"mean"}), "mean"]:
         results = [find(recalls, method=method, object=name) for method in METHODS]
         pairs = max(r["n"] for r in results if r is not None)
-        cells = [*_ranked(results, "%", max), paper.get(name, Cell(published=True))]
-        rows.append([Cell(name), *cells, Cell(str(pairs))])
-    gains = [
-        f"{_format(r['value'], 'points')} points over {r['against']} "
-        f"({_interval(r, 'points') or 'no interval'})"
-        for r in at_best
-        if r["metric"] == "add_s_recall_difference"
-    ]
-    notes = [f"mid, pair by pair: {'; '.join(gains)}."] if gains else []
-    gain = published.RESULTS.get(("add_s_recall_difference", scene, BEST_GAP))
-    if gain is not None:
-        notes.append(f"The paper's gain over rgbd: {_format(gain, 'points')} points.")
-    notes.append(published.NO_RESULTS_BY_OBJECT)
+        theirs = paper.get(name, {}).get(published.OURS)
+        cell = Cell("" if theirs is None else f"{theirs:.1f}", published=True)
+        rows.append([Cell(_marked(name)), *_ranked(results, "%", max), cell, Cell(str(pairs))])
+    gains: dict[str, list[str]] = {}
+    for r in at_best:
+        if r["metric"] == "add_s_recall_difference":
+            interval = _interval(r, "points") or "no interval"
+            text = f"{_format(r['value'], 'points')} points over {r['against']} ({interval})"
+            gains.setdefault(r["method"], []).append(text)
+    notes = [f"{method}, pair by pair: {'; '.join(texts)}." for method, texts in gains.items()]
+    notes.append("* symmetric: ADD-S, the mean distance of the nearest points, else ADD.")
     groups = [("", 1), ("ours, simulated", len(METHODS)), _paper_group(scene), ("", 1)]
     head = [*map(Cell, ("object", *METHODS)), Cell("mid", published=True), Cell("pairs")]
     return Table(groups, head, rows, notes, last_is_mean=True)
+
+
+def published_table(scene: str) -> Table:
+    """The paper's own Table 2 or 3: color images on the left, depth on the right."""
+    paper = published.recalls(scene)
+    names = list(paper["mean"])
+    color = [name for name in names if "RGB-D" not in name]
+    methods = [*color, *(name for name in names if name not in color)]
+    rows = [
+        [Cell(_marked(name)), *(Cell(f"{v:.1f}" if (v := row.get(m)) else "", published=True)
+                                for m in methods)]
+        for name, row in paper.items()
+    ]  # fmt: skip
+    groups = [("", 1), ("color images", len(color)), ("with depth", len(names) - len(color))]
+    heads = [Cell(name.replace(" (RGB-D)", ""), published=True) for name in methods]
+    return Table(groups, [Cell("object"), *heads], rows, last_is_mean=True)
+
+
+def visibility_table(records: Records) -> Table | None:
+    """Recall by the target's visible fraction, Occlusion-style test, percent."""
+    chosen = [r for r in records if r["metric"] == "visibility_add_s_recall"]
+    chosen = [r for r in chosen if r["scene"] == "occlusion"]
+    rows = []
+    for gap in GAPS:
+        for low, high in VISIBILITIES:
+            tags = {"gap": gap, "visibility": low}
+            results = [find(chosen, method=method, **tags) for method in METHODS]
+            if any(results):
+                pairs = max(r["n"] for r in results if r is not None)
+                name = f"gap {gap}, {100 * low:.0f} to {100 * min(high, 1):.0f} % visible"
+                rows.append([Cell(name), *_ranked(results, "%", max), Cell(str(pairs))])
+    groups = [("", 1), ("ours, simulated", len(METHODS)), ("", 1)]
+    return Table(groups, [*map(Cell, ("", *METHODS, "pairs"))], rows) if rows else None
 
 
 def solver_table(records: Records) -> Table | None:
@@ -143,8 +200,8 @@ def training_table(records: Records) -> Table | None:
         training = record.get("training")
         if record["metric"] != "training_add_s_recall" or training == DEFAULT_WEIGHTS:
             continue
-        tags = {"scene": record["scene"], "method": record["method"]}
-        row = [Cell(f"{training}, {TESTS[record['scene']]}")]
+        tags = {name: record[name] for name in ("scene", "method", "gap")}
+        row = [Cell(f"{training}, {TESTS[record['scene']]}, gap {record['gap']}")]
         for metric, unit, best, _ in _MEASURES:
             name = f"training_{metric}"
             baseline = find(records, metric=name, paired_with=training, **tags)
@@ -197,10 +254,9 @@ def _cell(record: Record, unit: str) -> Cell:
     return Cell(_format(record["value"], unit), _interval(record, unit))
 
 
-def _paper_cell(metric: str, scene: str, gap: int | str, unit: str) -> Cell:
-    """Makes the cell of Mid-Fusion's published result, empty if there is none."""
-    value = published.RESULTS.get((metric, scene, gap))
-    return Cell("" if value is None else _format(value, unit), published=True)
+def _marked(name: str) -> str:
+    """The name of an object; symmetric ones have a star."""
+    return f"{name} *" if name in SYMMETRIC else name
 
 
 def _paper_group(scene: str) -> tuple[str, int]:

@@ -19,7 +19,7 @@ from .cost import measure_cost
 from .gallery import draw_gallery, timed_pairs
 from .log import OutcomeLog, PairOutcome
 from .measure import OUTCOME_FORMAT, StudySet, measure_run
-from .plan import DEFAULT_WEIGHTS, NO_POSE_LOSS, NOISY, Run, plan
+from .plan import DEFAULT_WEIGHTS, Run, plan
 from .tables import Record, tables
 
 
@@ -44,7 +44,7 @@ class Study:
         baseline = {m: e for (m, training), e in estimators.items() if training == DEFAULT_WEIGHTS}
         if not baseline:
             raise InputError(f"none of {', '.join(config.methods)} can be run")
-        trainings = [DEFAULT_WEIGHTS, *self.other_weights()]
+        trainings = [DEFAULT_WEIGHTS, *config.other_weights]
         limits = {"per_object": config.pairs, "noise_per_object": config.noise_pairs}
         # Opens all logs first: one that does not match is an error before hours of measuring.
         logs = {
@@ -65,17 +65,12 @@ class Study:
         self.records += measure_cost(baseline, pairs, config.cost_repeats)
         return [*map(describe, tests), *self.records]
 
-    def other_weights(self) -> dict[str, str]:
-        """Returns the weights of other trainings, by the training's name."""
-        files = {NOISY: self.config.noisy_weights, NO_POSE_LOSS: self.config.no_pose_loss_weights}
-        return {training: file for training, file in files.items() if file is not None}
-
     def load_all(self) -> dict[tuple[str, str], KeypointEstimator]:
         """Loads every method with every training; adds a record for those that lack networks."""
         loaded: dict[tuple[str, str], KeypointEstimator] = {}
         device, threads = self.config.device, self.config.threads
         wanted = [(method, DEFAULT_WEIGHTS, self.config.weights) for method in self.config.methods]
-        wanted += [("mid", training, path) for training, path in self.other_weights().items()]
+        wanted += [("mid", training, path) for training, path in self.config.other_weights.items()]
         for method, training, weights in wanted:
             trained = load_networks(weights, resolve_device(device)).trained
             missing = [part for part in METHOD_TABLE[method].parts if part not in trained]

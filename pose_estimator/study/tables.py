@@ -13,17 +13,25 @@ import numpy as np
 from ..evaluation.intervals import clustered_mean
 from ..evaluation.metrics import CORRECT
 from ..evaluation.outcomes import MEASURES
-from ..methods import METHODS
 from .log import PairOutcome
-from .plan import BEST_GAP, DEFAULT_WEIGHTS, Run
+from .plan import DEFAULT_WEIGHTS, Run
 
 Record = dict[str, Any]
 
 MAX_KEYPOINT_ERROR = 0.03
 """Error below which a keypoint counts as found, m."""
 
-DISTANCE_BIN = 0.1
-"""Width of the bins of camera distance, m."""
+BASELINE_BIN = 0.025
+"""Width of the bins of the distance between the cameras, m."""
+
+MAX_DISTANCE = 0.1
+"""Limit of the capped keypoint distance, m: a few objects that are not found rule a plain mean."""
+
+VISIBILITIES = ((0.1, 0.4), (0.4, 0.7), (0.7, 1.01))
+"""Bins of the target's visible fraction in the reference view."""
+
+COMPARED = {"mid": ("single", "early", "late", "rgbd"), "mid-pnp": ("pnp", "mid", "rgbd")}
+"""Methods, each with those that it is compared with pair by pair."""
 
 Grouping = Callable[[PairOutcome], Hashable]
 
@@ -37,10 +45,9 @@ def tables(outcomes: Mapping[Run, Sequence[PairOutcome]]) -> list[Record]:
     for (scene, method), found in main.items():
         tags = {"scene": scene, "method": method}
         records += method_records(found, tags) + solver_records(found, tags)
-        if method == "mid":
-            for against in (other for other in METHODS if other != "mid"):
-                other = main.get((scene, against), [])
-                records += difference_records(found, other, {**tags, "against": against})
+        for against in COMPARED.get(method, ()):
+            other = main.get((scene, against), [])
+            records += difference_records(found, other, {**tags, "against": against})
     for run, found in outcomes.items():
         tags = {"scene": run.test, "method": run.method, "training": run.training}
         if run.part == "training":
@@ -64,24 +71,34 @@ def method_records(outcomes: Sequence[PairOutcome], tags: Mapping[str, Any]) -> 
         by = attrgetter("gap", "object_name")
         records.append(_mean(metric, outcomes, by, object="mean", gap="mean"))
     for gap, at_gap in by_gap.items():
-        median = {"value": float(np.median([o.keypoint_distance for o in at_gap])), "unit": "m"}
+        distances = np.array([o.keypoint_distance for o in at_gap])
+        median = {"value": float(np.median(distances)), "unit": "m"}
         records.append({"metric": "keypoint_distance_median", **median, "gap": gap})
-    records += _recall_by_distance(by_gap.get(BEST_GAP, []))
+        capped = np.minimum(distances, MAX_DISTANCE)
+        records.append(
+            _record("capped_keypoint_distance", "m", capped, at_gap, _object_name, gap=gap)
+        )
+        for low, high in VISIBILITIES:
+            seen = [o for o in at_gap if low <= o.visibility < high]
+            if seen:
+                bins = {"gap": gap, "visibility": low}
+                records.append(_mean("add_s_recall", seen, None, "visibility_", **bins))
+    records += _recall_by_baseline(outcomes)
     return [record | dict(tags) for record in records]
 
 
-def _recall_by_distance(outcomes: Sequence[PairOutcome]) -> list[Record]:
-    """Computes the share of keypoints found, by object and camera distance."""
+def _recall_by_baseline(outcomes: Sequence[PairOutcome]) -> list[Record]:
+    """Computes the share of keypoints found, by object and distance between the cameras."""
     bins: dict[tuple[str, int], list[PairOutcome]] = {}
     for outcome in outcomes:
-        step = int(outcome.camera_distance // DISTANCE_BIN)
+        step = int(outcome.camera_baseline // BASELINE_BIN)
         for name in (outcome.object_name, "mean"):
             bins.setdefault((name, step), []).append(outcome)
     records = []
     for (name, step), group in sorted(bins.items()):
         found = [float(np.mean(np.array(o.distances) < MAX_KEYPOINT_ERROR)) for o in group]
         by = _object_name if name == "mean" else None
-        tags = {"object": name, "gap": BEST_GAP, "distance": round((step + 0.5) * DISTANCE_BIN, 3)}
+        tags = {"object": name, "baseline": round((step + 0.5) * BASELINE_BIN, 4)}
         records.append(_record("keypoint_recall", "", found, group, by, **tags))
     return records
 
@@ -138,14 +155,16 @@ def training_records(
             latter as ``paired_with``.
     """
     records = []
-    pairs = _matched(baseline, outcomes)
-    for metric in ("add_s_recall", "keypoint_distance"):
-        records.append(_mean(metric, outcomes, _object_name, "training_", **tags))
-        if pairs:
-            paired = {**tags, "training": DEFAULT_WEIGHTS, "paired_with": tags["training"]}
-            matched = [ours for ours, _ in pairs]
-            records.append(_mean(metric, matched, _object_name, "training_", **paired))
-            records.append(_difference(metric, pairs, "training_", **tags))
+    for gap in sorted({o.gap for o in outcomes}):
+        mine = [o for o in outcomes if o.gap == gap]
+        pairs, own = _matched(baseline, mine), {**tags, "gap": gap}
+        for metric in ("add_s_recall", "keypoint_distance"):
+            records.append(_mean(metric, mine, _object_name, "training_", **own))
+            if pairs:
+                paired = {**own, "training": DEFAULT_WEIGHTS, "paired_with": tags["training"]}
+                matched = [ours for ours, _ in pairs]
+                records.append(_mean(metric, matched, _object_name, "training_", **paired))
+                records.append(_difference(metric, pairs, "training_", **own))
     return records
 
 

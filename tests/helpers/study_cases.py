@@ -85,7 +85,8 @@ def outcome(
     distance: float = 0.004,
     *,
     reference: int = 0,
-    camera: float = 0.85,
+    camera: float = 0.085,
+    visibility: float = 1.0,
     solvers: Mapping[str, float] | None = None,
 ) -> PairOutcome:
     """An outcome whose nine keypoints are all equally far from the truth."""
@@ -97,8 +98,8 @@ def outcome(
         gap=gap,
         error=error,
         distances=(distance,) * 9,
-        camera_distance=camera,
-        visibility=1.0,
+        camera_baseline=camera,
+        visibility=visibility,
         baseline=2.0 * gap,
         seconds=0.1,
         solver_errors=solvers or {},

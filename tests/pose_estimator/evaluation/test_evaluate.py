@@ -51,9 +51,11 @@ def test_a_dataset_is_evaluated_and_written(opened, dataset, loaded, tmp_path, c
     document = read_results(target)
     assert json.loads(target.read_text())["seed"] == 1000
     assert only_record(document["records"], "add_s_recall", object="mean")["value"] == 1.0
-    assert all(r["method"] == "mid" and r["dataset"] == "boxes" for r in document["records"])
-    usual = {"preset": None, "solver": "soft", "device": "auto", "threads": 0}
-    assert asked == [("mid", "linemod", usual)]
+    assert all(r["method"] == "mid-pnp" and r["dataset"] == "boxes" for r in document["records"])
+    usual = {
+        "preset": None, "solver": "soft", "refine": None, "device": "auto", "threads": 0
+    }  # fmt: skip
+    assert asked == [("mid-pnp", "linemod", usual)]
     printed = capsys.readouterr().out
     assert "100.0 %" in printed and "true pose" not in printed
     assert all("roi" not in r and "gap" not in r for r in document["records"])
@@ -63,7 +65,7 @@ def test_a_dataset_is_evaluated_and_written(opened, dataset, loaded, tmp_path, c
     config = EvaluateConfig(split="train_pbr", json=target, roi="truth", solver="hard")
     evaluate_dataset(config, dataset, {"dataset": "boxes"})
     document = read_results(target)
-    assert asked[-1] == ("mid", "linemod", {**usual, "solver": "hard"})
+    assert asked[-1] == ("mid-pnp", "linemod", {**usual, "solver": "hard"})
     assert all(r["roi"] == "truth" and r["solver"] == "hard" for r in document["records"])
     assert document["command"].endswith("--solver hard --roi truth")
     assert "ground-truth ROI: truth" in capsys.readouterr().out

@@ -31,7 +31,9 @@ def oracles(tests, boxes, networks, monkeypatch) -> dict[str, Oracle]:
     """``late`` errs by 6 cm, others by nothing; the networks of early and rgbd are not trained."""
     shift = make_transform(np.eye(3), np.array([0.06, 0.0, 0.0]))
     made = {}
-    for method, T in (("single", None), ("late", shift), ("mid", None)):
+    for method, T in (
+        ("single", None), ("late", shift), ("mid", None), ("pnp", None), ("mid-pnp", shift)
+    ):  # fmt: skip
         made[method] = Oracle(tests["linemod"].dataset, boxes, T, strict=False)
         made[method].networks = networks  # type: ignore[attr-defined]
     monkeypatch.setattr(networks, "trained", frozenset({"detector", "features", "volume"}))

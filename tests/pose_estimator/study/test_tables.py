@@ -50,8 +50,8 @@ def test_recalls_and_distances_by_object_and_gap():
     assert all(r["low"] <= r["value"] <= r["high"] for r in records if "low" in r)
 
 
-def test_keypoints_found_by_camera_distance():
-    near, far = 0.85, 1.02
+def test_keypoints_found_by_the_distance_between_the_cameras():
+    near, far = 0.03, 0.09
     outcomes = [
         outcome(0, "cat", 10, distance=0.029, camera=near),
         outcome(1, "cat", 10, distance=0.031, camera=near),
@@ -61,12 +61,25 @@ def test_keypoints_found_by_camera_distance():
     ]
     records = method_records(outcomes, {"method": "mid", "scene": "linemod"})
     recall = "keypoint_recall"
-    assert only_record(records, recall, object="cat", distance=0.85)["value"] == 0.5
-    assert only_record(records, recall, object="cat", distance=1.05)["value"] == 0.0
-    assert only_record(records, recall, object="mean", distance=0.85)["value"] == pytest.approx(
-        0.75
-    )
-    assert {r["gap"] for r in records if r["metric"] == recall} == {10}
+    assert only_record(records, recall, object="cat", baseline=0.0375)["value"] == 0.5
+    # All gaps count together.
+    assert only_record(records, recall, object="cat", baseline=0.0875)["value"] == 0.5
+    mean = only_record(records, recall, object="mean", baseline=0.0375)
+    assert mean["value"] == pytest.approx(0.75)
+
+
+def test_recall_by_visibility_and_capped_distances():
+    outcomes = [
+        outcome(0, "cat", 10, 0.05, distance=0.02, visibility=0.2),
+        outcome(1, "cat", 10, 0.50, distance=0.90, visibility=0.3),
+        outcome(2, "cat", 10, 0.05, distance=0.03, visibility=0.9),
+    ]
+    records = method_records(outcomes, {"method": "mid", "scene": "occlusion"})
+    recall = "visibility_add_s_recall"
+    assert only_record(records, recall, visibility=0.1)["value"] == 0.5
+    assert only_record(records, recall, visibility=0.7)["n"] == 1
+    capped = only_record(records, "capped_keypoint_distance", gap=10)
+    assert capped["value"] == pytest.approx((0.02 + 0.1 + 0.03) / 3)
 
 
 def test_differences_are_of_the_same_pairs():
@@ -120,4 +133,4 @@ def test_ablations_have_their_own_metrics():
     gain = only_record(records, "add_s_recall_difference", method="mid", against="late", gap=10)
     assert gain["value"] == 0.0
     only_record(records, "noise_add_s_recall", method="mid", training=NOISY, rotation_deg=1.0)
-    only_record(records, "training_add_s_recall", training=NOISY)
+    only_record(records, "training_add_s_recall", training=NOISY, gap=10)
