@@ -90,6 +90,9 @@ METHODS = tuple(METHOD_TABLE)
 DEFAULT_METHOD = "mid-pnp"
 """The most accurate one of color images; that of the environments."""
 
+SOLVERS = ("soft", "soft-mean", "kabsch", "hard")
+"""Names of the solvers, from 3D keypoints to a pose; see ``solvers/rigid.py``."""
+
 REFINEMENTS = ("none", "votes")
 """Ways to refine the pose of a method: by the votes of all views, or not."""
 

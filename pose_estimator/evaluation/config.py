@@ -32,8 +32,9 @@ class EvaluateConfig:
     """Name of shipped weights, or a .safetensors file."""
     preset: Literal["fast", "paper"] | None = None
     """Preset of the volumes, `fast` or `paper`, that the weights must have been trained for."""
-    solver: Literal["soft", "kabsch", "hard"] = "soft"
-    """From 3D keypoints to the pose: `soft` (Soft RANSAC), `kabsch` or `hard` (RANSAC)."""
+    solver: Literal["soft", "soft-mean", "kabsch", "hard"] | None = None
+    """From 3D keypoints to the pose: `soft` (Soft RANSAC), `soft-mean` (with the paper's plain
+    average), `kabsch` or `hard` (RANSAC); none = that of the preset."""
     roi: Literal["detector", "truth", "noisy"] = "detector"
     """Initial region of interest. `truth` replaces the detector by the ground-truth ROI, `noisy` by
     that of the true center plus Gaussian noise for each image: 4 cm in depth and 1.2 cm sideways

@@ -19,7 +19,7 @@ def load(
     weights: str | Path = "linemod",
     *,
     preset: str | None = None,
-    solver: str = "soft",
+    solver: str | None = None,
     refine: str | None = None,
     device: str | torch.device = "auto",
     threads: int = 0,
@@ -31,7 +31,8 @@ def load(
             or ``rgbd``.
         weights: name of shipped weights, or a path to a ``.safetensors`` file.
         preset: of the volumes, ``fast`` or ``paper``, to require; None accepts either.
-        solver: from 3D keypoints to the pose, ``soft``, ``kabsch`` or ``hard``.
+        solver: from 3D keypoints to the pose, ``soft``, ``soft-mean``, ``kabsch`` or ``hard``;
+            None: that of the preset.
         refine: ``votes`` to fit the pose to the votes of all views too, or ``none``; None: as the
             method does.
         device: ``auto`` (a GPU if there is one), ``cpu``, ``cuda``, ``cuda:N`` or ``mps``.
@@ -71,4 +72,5 @@ def load(
                 "--data DIR --out DIR"
             )
     refine = chosen.refine if refine is None else refine
+    solver = networks.volume.config.solver if solver is None else solver
     return chosen.estimator_class()(networks, solver, threads, refine)

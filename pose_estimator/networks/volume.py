@@ -65,6 +65,7 @@ class VolumeConfig:
         hidden: channels of the 3D network.
         evidence: whether the views' votes are lifted too.
         coarse_pose: whether the coarse volume's pose is part of the training's loss.
+        solver: from the volume's keypoints to the pose, in training and by default after it.
         predicted_first: whether the loss of the distributions is D(predicted || true), not
             D(true || predicted).
     """
@@ -74,6 +75,7 @@ class VolumeConfig:
     hidden: int = 32
     evidence: bool = True
     coarse_pose: bool = False
+    solver: str = "soft"
     predicted_first: bool = False
 
 
@@ -84,6 +86,7 @@ PRESETS = {
         fine=LevelConfig(cells=None, half_size=0.65, cell_size=0.005),
         evidence=False,
         coarse_pose=True,
+        solver="soft-mean",
         predicted_first=True,
     ),
 }

@@ -1,8 +1,9 @@
-"""Pose from nine 3D keypoints: the solver of the paper and two baselines.
+"""Pose from nine 3D keypoints: the solver of the paper and its baselines.
 
-``soft`` is Soft RANSAC. ``kabsch`` is the least-squares fit of all nine keypoints. ``hard`` is
-exhaustive (deterministic) RANSAC (Fischler and Bolles 1981): of all 84 triples the one with most
-inliers is chosen, and its inliers are fitted by least squares.
+``soft`` is Soft RANSAC with sharpened weights, ``soft-mean`` with the paper's. ``kabsch`` is the
+least-squares fit of all nine keypoints. ``hard`` is exhaustive (deterministic) RANSAC (Fischler and
+Bolles 1981): of all 84 triples the one with most inliers is chosen, and its inliers are fitted by
+least squares.
 """
 
 from typing import NamedTuple
@@ -13,21 +14,16 @@ from torch import Tensor
 
 from ...core.errors import InputError
 from ...core.geometry import make_transform
+from ..methods import SOLVERS
 from .so3 import project_to_so3
 from .soft_ransac import SoftRansacConfig, check_points, kabsch, soft_ransac
 from .three_point import three_point_fits
 
-SOLVERS = ("soft", "kabsch", "hard")
-"""Names of the solvers."""
-
 SOLVER_INLIER = 0.2
 """Inlier threshold in diameters; in Soft RANSAC a keypoint at this distance counts half."""
 
-SOLVER_SHARPNESS = 4.0
-"""Exponent of Soft RANSAC's scores."""
-
-_MIN_STD = 0.01
-"""Smallest standard deviation of a keypoint, in diameters."""
+SOLVER_SHARPNESS = {"soft": 4.0, "soft-mean": 1.0}
+"""Exponents of Soft RANSAC's scores; the paper's is 1."""
 
 
 class RigidMotions(NamedTuple):
@@ -58,7 +54,6 @@ def solve(
     predicted: Tensor,
     diameter: float | Tensor,
     solver: str = "soft",
-    covariance: Tensor | None = None,
 ) -> RigidMotions:
     """Computes poses from predicted keypoints.
 
@@ -69,40 +64,29 @@ def solve(
         predicted: the same keypoints in the camera's frame, (B, K, 3), meters.
         diameter: of the object in meters, one number or one for each pose (B,).
         solver: one of ``SOLVERS``.
-        covariance: of ``predicted``, (B, K, 3, 3); keypoints are weighted by their inverse
-            variance; None weights all the same.
 
     Raises:
         InputError: if the solver is unknown or shapes do not match.
     """
     check_solver(solver)
-    weights = None if covariance is None else _weights(predicted, covariance, diameter)
     if solver == "kabsch":
-        return RigidMotions(*kabsch(model_points, predicted, weights))
+        return RigidMotions(*kabsch(model_points, predicted))
     if solver == "hard":
-        return _hard_ransac(model_points, predicted, SOLVER_INLIER * diameter, weights)
+        return _hard_ransac(model_points, predicted, SOLVER_INLIER * diameter)
     config = SoftRansacConfig.for_diameter(
-        diameter, inlier=SOLVER_INLIER, sharpness=SOLVER_SHARPNESS
+        diameter, inlier=SOLVER_INLIER, sharpness=SOLVER_SHARPNESS[solver]
     )
-    result = soft_ransac(model_points, predicted, config, weights)
+    result = soft_ransac(model_points, predicted, config)
     return RigidMotions(result.rotation, result.translation)
 
 
 @torch.no_grad()
 def solve_pose(
-    model_points: np.ndarray,
-    predicted: np.ndarray,
-    diameter: float,
-    solver: str = "soft",
-    covariance: np.ndarray | None = None,
+    model_points: np.ndarray, predicted: np.ndarray, diameter: float, solver: str = "soft"
 ) -> np.ndarray:
-    """T_cam_obj (4, 4) of one object: :func:`solve` for arrays (9, 3) and (9, 3, 3)."""
+    """T_cam_obj (4, 4) of one object: :func:`solve` for keypoints (9, 3)."""
     motion = solve(
-        _on_cpu(model_points),
-        _on_cpu(predicted)[None],
-        _on_cpu(np.array([diameter])),
-        solver,
-        None if covariance is None else _on_cpu(covariance)[None],
+        _on_cpu(model_points), _on_cpu(predicted)[None], _on_cpu(np.array([diameter])), solver
     )
     # Removes single precision's rounding from the rotation.
     u, _, vt = np.linalg.svd(motion.rotation[0].double().cpu().numpy())
@@ -114,21 +98,8 @@ def _on_cpu(array: np.ndarray) -> Tensor:
     return torch.from_numpy(array).to("cpu", torch.float32)
 
 
-def _weights(predicted: Tensor, covariance: Tensor, diameter: float | Tensor) -> Tensor:
-    """Weights of the keypoints, (B, K), one on average."""
-    if covariance.shape != (*predicted.shape, 3):
-        raise InputError(
-            f"covariance must be {(*predicted.shape, 3)} to match predicted, "
-            f"got shape {tuple(covariance.shape)}"
-        )
-    variance = covariance.detach().diagonal(dim1=-2, dim2=-1).mean(dim=-1)
-    floor = torch.as_tensor(_MIN_STD * diameter, dtype=variance.dtype, device=variance.device)
-    weights = 1 / (variance.clamp_min(0) + floor.square().reshape(-1, 1))
-    return weights / weights.mean(dim=-1, keepdim=True)
-
-
 def _hard_ransac(
-    model_points: Tensor, predicted: Tensor, threshold: float | Tensor, weights: Tensor | None
+    model_points: Tensor, predicted: Tensor, threshold: float | Tensor
 ) -> RigidMotions:
     """Fits the largest set of inliers of one triple by least squares."""
     model_points, predicted = check_points(model_points, predicted)
@@ -145,9 +116,7 @@ def _hard_ransac(
             best = (inliers.sum(dim=1) - misfit - penalty).argmax(dim=-1)
             chosen = torch.nn.functional.one_hot(best, distances.shape[-1]).to(predicted.dtype)
         consensus = (inliers & chosen[:, None].bool()).any(dim=-1).to(predicted.dtype)
-        fitted = kabsch(
-            model_points, predicted, consensus if weights is None else consensus * weights
-        )
+        fitted = kabsch(model_points, predicted, consensus)
         enough = consensus.sum(dim=-1) >= 3
         rotation, position = hypotheses.average(chosen)
         rotation = project_to_so3(rotation)

@@ -64,18 +64,16 @@ def soft_ransac(
     model_points: torch.Tensor,
     predicted: torch.Tensor,
     config: SoftRansacConfig = SoftRansacConfig(),
-    weights: torch.Tensor | None = None,
 ) -> SoftRansacResult:
     """Averages all three-point poses, weighted by their soft inlier counts.
 
-    Gradients flow to ``predicted`` and ``weights``; the model is constant. Work is done in float32
+    Gradients flow to ``predicted``; the model is constant. Work is done in float32
     (float64 for float64 input), also under autocast.
 
     Args:
         model_points: keypoints in the object's frame, (K, 3) or (B, K, 3), meters.
         predicted: the same keypoints in the camera's frame, (B, K, 3), meters.
         config: scoring; the paper's by default.
-        weights: how much each keypoint counts in the scores, (B, K), not negative; 1 if None.
 
     Raises:
         InputError: if shapes do not match, or all keypoints of a model lie on one line.
@@ -87,10 +85,8 @@ def soft_ransac(
             gamma.to(predicted).reshape(-1, 1, 1) if isinstance(gamma, torch.Tensor) else gamma
             for gamma in (config.gamma1, config.gamma2)
         )
-        # s_k = sum_i sigmoid(gamma1 * (gamma2 - d_ki)), each keypoint with its weight.
+        # s_k = sum_i sigmoid(gamma1 * (gamma2 - d_ki)).
         inliers = (gamma1 * (gamma2 - hypotheses.residuals())).sigmoid()
-        if weights is not None:
-            inliers = inliers * weights.to(inliers.dtype)[..., None]
         scores = inliers.sum(dim=1)
 
         # softmax(p log s) = s^p / sum s^p. A pose with degenerate triples only is still finite.
@@ -108,7 +104,7 @@ def kabsch(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Least-squares rigid motion of all points (Kabsch 1976), differentiable.
 
-    Takes what :func:`soft_ransac` does; ``weights`` are those of the squared distances.
+    Takes what :func:`soft_ransac` does; ``weights`` (B, K) are those of the squared distances.
 
     Returns:
         Rotation (B, 3, 3) and translation (B, 3), model to predicted.

@@ -30,8 +30,8 @@ from ..evaluation.evaluate_pairs import (
 )
 from ..evaluation.metrics import add_or_add_s, keypoint_distances
 from ..fusion.batching import batch_size, estimate_all
-from ..methods import METHOD_TABLE
-from ..solvers.rigid import SOLVERS, solve_pose
+from ..methods import METHOD_TABLE, SOLVERS
+from ..solvers.rigid import solve_pose
 from ..types import PoseEstimate
 from .log import OutcomeLog, PairOutcome
 from .plan import Run, choose_pairs, perturbed_pose

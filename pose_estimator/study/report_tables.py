@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from .. import METHODS
+from ..methods import METHODS, SOLVERS
 from . import published
 from .plan import BEST_GAP, DEFAULT_WEIGHTS, GAPS, has_both_errors
 from .tables import VISIBILITIES
@@ -159,14 +159,14 @@ def solver_table(records: Records) -> Table | None:
         for method in METHODS:
             tags = {"scene": scene, "method": method, "gap": BEST_GAP}
             by_solver = {"metric": "solver_recall", **tags}
-            results = [find(records, solver=s, **by_solver) for s in ("soft", "kabsch", "hard")]
+            results = [find(records, solver=s, **by_solver) for s in SOLVERS]
             gain = {"metric": "solver_recall_difference", **tags}
-            cells = [_cell(find(records, against=s, **gain), "points") for s in ("kabsch", "hard")]
+            cells = [_cell(find(records, against=s, **gain), "points") for s in SOLVERS[1:]]
             if any(results):
                 name = Cell(f"{TESTS[scene]}, {method}")
                 rows.append([name, *_ranked(results, "%", max), *cells])
-    head = ["", "soft", "Kabsch", "hard", "soft over Kabsch", "soft over hard"]
-    groups = [("", 1), ("solver", 3), ("gain, points", 2)]
+    head = ["", *SOLVERS, *(f"over {solver}" for solver in SOLVERS[1:])]
+    groups = [("", 1), ("solver", len(SOLVERS)), ("gain of soft, points", len(SOLVERS) - 1)]
     return Table(groups, [Cell(name) for name in head], rows) if rows else None
 
 

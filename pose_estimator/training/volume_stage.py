@@ -113,7 +113,8 @@ class VolumeStage(KeypointStage):
 
     def solve(self, level: LevelOutput, out: dict[str, Any]) -> RigidMotions:
         """Fits the poses to a level's keypoints, differentiably."""
-        return solve(self.keypoints[out["index"]], level.keypoints.float(), out["diameter"])
+        keypoints, solver = self.keypoints[out["index"]], self.networks.volume.config.solver
+        return solve(keypoints, level.keypoints.float(), out["diameter"], solver)
 
     def relabel_votes(
         self, mean: Tensor, covariance: Tensor, projection: Tensor, truth: Tensor, index: Tensor

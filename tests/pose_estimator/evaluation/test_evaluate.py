@@ -53,7 +53,7 @@ def test_a_dataset_is_evaluated_and_written(opened, dataset, loaded, tmp_path, c
     assert only_record(document["records"], "add_s_recall", object="mean")["value"] == 1.0
     assert all(r["method"] == "mid-pnp" and r["dataset"] == "boxes" for r in document["records"])
     usual = {
-        "preset": None, "solver": "soft", "refine": None, "device": "auto", "threads": 0
+        "preset": None, "solver": None, "refine": None, "device": "auto", "threads": 0
     }  # fmt: skip
     assert asked == [("mid-pnp", "linemod", usual)]
     printed = capsys.readouterr().out

@@ -218,7 +218,9 @@ def test_refine_makes_the_pose_that_of_the_votes(networks, method):
 
 
 def test_wrong_calls_are_refused(networks):
-    with pytest.raises(ValueError, match="unknown solver 'best'; there are soft, kabsch, hard"):
+    with pytest.raises(
+        ValueError, match="unknown solver 'best'; there are soft, soft-mean, kabsch, hard"
+    ):
         MidFusionEstimator(networks, "best")
     with pytest.raises(TypeError, match="fuse"):
         KeypointEstimator(networks)

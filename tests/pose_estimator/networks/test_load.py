@@ -10,6 +10,7 @@ from two_view_pose import pose_estimator
 from two_view_pose.core import device as device_module
 from two_view_pose.pose_estimator.fusion import single as single_view
 from two_view_pose.pose_estimator.networks.container import PoseNetworks
+from two_view_pose.pose_estimator.networks.volume import PRESETS
 from two_view_pose.pose_estimator.networks.weights import load_networks, save_weights
 
 
@@ -28,6 +29,13 @@ def test_load_sets_the_solver(saved, method, solver):
     assert type(estimator).__name__.lower().startswith(method)
 
 
+def test_the_preset_sets_the_solver_and_the_method_the_refinement(saved):
+    assert PRESETS["paper"].solver == "soft-mean"
+    found = [pose_estimator.load(method, saved) for method in ("mid", "mid-pnp")]
+    assert [(e.solver, e.refinement) for e in found] == [("soft", "none"), ("soft", "votes")]
+    assert pose_estimator.load("mid-pnp", saved, refine="none").refinement == "none"
+
+
 def test_another_preset_names_the_training_command(saved):
     with pytest.raises(ValueError, match=r"'fast', not 'paper'.*train-estimator --preset paper"):
         pose_estimator.load("mid", saved, preset="paper")
@@ -41,7 +49,7 @@ def test_another_preset_names_the_training_command(saved):
             "unknown method 'latest'; there are single, early, late, mid, pnp, mid-pnp, rgbd",
         ),
         ({"preset": "quick"}, "unknown preset 'quick'; there are fast, paper"),
-        ({"solver": "best"}, "unknown solver 'best'; there are soft, kabsch, hard"),
+        ({"solver": "best"}, "unknown solver 'best'; there are soft, soft-mean, kabsch, hard"),
         ({"device": "tpu"}, "device must be auto, cpu, cuda, cuda:N or mps, got 'tpu'"),
         ({"threads": -1}, "threads must be >= 0, got -1"),
     ],

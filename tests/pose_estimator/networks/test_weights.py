@@ -134,7 +134,7 @@ def complete(networks: PoseNetworks, tmp_path_factory: pytest.TempPathFactory) -
 def test_load_gives_estimators(complete: Path):
     for method in pose_estimator.METHODS:
         assert pose_estimator.load(method, complete).object_names == ("brick", "crate")
-    with pytest.raises(ValueError, match="'late-ish'; there are single, .*, mid-pnp, rgbd"):
+    with pytest.raises(ValueError, match=r"'late-ish'; there are single, .*, mid-pnp, rgbd"):
         pose_estimator.load("late-ish", complete)
 
 

@@ -14,12 +14,13 @@ import pytest
 import torch
 from helpers.box_pairs import Pairs
 from helpers.strict_host import strict_host
+from two_view_pose.pose_estimator.methods import SOLVERS
 from two_view_pose.pose_estimator.networks.container import NetworkConfig, PoseNetworks
 from two_view_pose.pose_estimator.networks.plane_sweep import group_correlation, sweep
 from two_view_pose.pose_estimator.networks.point_cloud import sample_points
 from two_view_pose.pose_estimator.networks.volume import PRESETS, LevelConfig
 from two_view_pose.pose_estimator.networks.voting import vote_keypoints
-from two_view_pose.pose_estimator.solvers.rigid import SOLVERS, solve
+from two_view_pose.pose_estimator.solvers.rigid import solve
 from two_view_pose.pose_estimator.training.cascade_stage import CascadeStage
 from two_view_pose.pose_estimator.training.optimizer import HybridOptimizer
 from two_view_pose.pose_estimator.training.point_stage import PointStage
@@ -102,17 +103,15 @@ def test_stages_create_tensors_on_the_device_of_the_networks(prepare_stage, name
         assert all(np.isfinite(value) for value in stage.validate().values())
 
 
-@pytest.mark.parametrize("with_covariance", [False, True])
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_solvers_create_tensors_on_the_device_of_the_keypoints(boxes, solver, with_covariance):
+def test_solvers_create_tensors_on_the_device_of_the_keypoints(boxes, solver):
     # One model for each pose: what a processor remembers of a model, no GPU sees.
     model = torch.from_numpy(boxes["brick"].keypoints).float().expand(2, 9, 3)
     predicted = (model + 0.1 + 0.01 * torch.rand(2, 9, 3)).requires_grad_()
-    covariance = torch.eye(3).expand(2, 9, 3, 3) * 1e-4 if with_covariance else None
     diameters = torch.tensor([0.15, 0.2])
     with strict_host():
         for diameter in (0.15, diameters):
-            motion = solve(model, predicted, diameter, solver, covariance)
+            motion = solve(model, predicted, diameter, solver)
             (motion.rotation.sum() + motion.translation.sum()).backward()
     assert motion.rotation.device.type == "cpu" and torch.isfinite(predicted.grad).all()
 
