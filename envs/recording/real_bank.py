@@ -69,7 +69,7 @@ class _RealRecorder:
         self._own = load_objects(None)
         self._names = tuple(self._own)
         ids = {model.obj_id: name for name, model in self._models.items() if name in self._names}
-        self._measured = {name: self._models[name] for name in ids.values()}
+        self._measured: dict[str, Any] = {name: self._models[name] for name in ids.values()}
         if has_models(root):
             measured = dataset_objects(root, ids, ignore_unknown=True)
             self._measured = {ids[obj_id]: model for obj_id, model in measured.items()}
