@@ -35,7 +35,7 @@ COMMANDS = {
     "demo": Command(
         "agents.evaluation.demo:DemoConfig",
         "agents.evaluation.demo:demo",
-        "one scene, two views, the pose before and after; writes a picture",
+        "one scene, two views, the pose before and after; writes an image",
     ),
     "generate": Command(
         "envs.datagen.config:GenerateConfig",
@@ -125,12 +125,15 @@ def run(arguments: Sequence[str]) -> int:
     """Runs one command with its options and returns the exit code.
 
     Raises:
-        InputError: or OSError, from the command.
+        InputError: if there is no such command.
+        InputError, OSError: from the command.
     """
     import tyro
 
     name, *options = arguments
-    command = COMMANDS[name]
+    command = COMMANDS.get(name)
+    if command is None:
+        raise InputError(f"unknown command {name!r}; the commands are {', '.join(COMMANDS)}")
     config = tyro.cli(find(command.config), prog=f"{PROGRAM} {name}", args=options)
     code = find(command.function)(config)
     return code if isinstance(code, int) else 0
@@ -149,12 +152,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(f"{PROGRAM} {__version__}")
         return 0
-    if given[0] not in COMMANDS:
-        print(
-            f"error: unknown command {given[0]!r}; the commands are {', '.join(COMMANDS)}",
-            file=sys.stderr,
-        )
-        return 2
     try:
         return run(given)
     except (InputError, OSError) as error:

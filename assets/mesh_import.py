@@ -191,10 +191,8 @@ def _scale(diameter: float, unit: str, path: Path) -> float:
 
 def _weld(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     """Merges the parts and their duplicate vertices to one mesh without colors."""
-    offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    vertices = np.concatenate([part.vertices for part in parts])
-    faces = np.concatenate([part.faces + o for part, o in zip(parts, offsets, strict=False)])
-    mesh = trimesh.Trimesh(vertices, faces)
+    meshes = [part.vertices for part in parts], [part.faces for part in parts]
+    mesh = trimesh.Trimesh(*trimesh.util.append_faces(*meshes))
     mesh.update_faces(mesh.unique_faces() & mesh.nondegenerate_faces(height=0.0))
     mesh.remove_unreferenced_vertices()
     return mesh

@@ -1,16 +1,13 @@
 """Matplotlib figures without a screen, in one look."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from .files import write_atomically
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 INK = "#24292f"
 GRID = "#d9dde2"
@@ -18,8 +15,6 @@ GRID = "#d9dde2"
 
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure, inches; needs no display and changes no global state."""
-    from matplotlib.figure import Figure
-
     return Figure(figsize=(width, height), layout="constrained")
 
 
@@ -34,8 +29,6 @@ def tidy(axis: Axes) -> None:
 
 def save(figure: Figure, path: Path) -> Path:
     """Writes a figure as SVG or PNG, by its suffix, with reproducible bytes."""
-    from matplotlib import rc_context
-
     buffer = io.BytesIO()
     kind = path.suffix[1:]
     metadata = {"Date": None} if kind == "svg" else {"Software": None}

@@ -4,6 +4,7 @@ The document is ``{"command", "versions", "seed", "records"}``; a record is ``{"
 "unit", ...tags}``. Records are validated when written: JSON has no NaN.
 """
 
+import contextlib
 import json
 import math
 import os
@@ -13,6 +14,7 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 from .errors import InputError
@@ -38,10 +40,8 @@ def versions() -> dict[str, str]:
     """Versions of Python and of the installed `PACKAGES`, which are not imported."""
     found = {"python": platform.python_version()}
     for name in PACKAGES:
-        try:
+        with contextlib.suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return found
 
 
@@ -69,29 +69,16 @@ def check_record(record: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: if a key is missing or a value has another type.
     """
-    missing = [key for key in ("metric", "value", "unit") if key not in record]
-    if missing:
-        raise InputError(
-            f"record must have metric, value and unit, lacks {', '.join(missing)}: {dict(record)}"
-        )
-    plain = {
-        key: value.item() if hasattr(value, "item") else value for key, value in record.items()
-    }
-    for key in ("metric", "unit"):
-        if not isinstance(plain[key], str):
-            raise InputError(f"record's {key} must be text, got {plain[key]!r}")
-    if isinstance(plain["value"], bool) or not isinstance(plain["value"], int | float):
-        raise InputError(
-            f"record {plain['metric']}: value must be a number, got {plain['value']!r}"
-        )
-    for key, value in plain.items():
-        if not isinstance(value, str | int | float | bool | None):
+    plain = {k: value.item() if hasattr(value, "item") else value for k, value in record.items()}
+    kinds: dict[str, tuple[type, ...]] = {"metric": (str,), "value": (int, float), "unit": (str,)}
+    for key in kinds | plain:
+        value, types = plain.get(key), kinds.get(key, (str, int, float, bool, NoneType))
+        infinite = isinstance(value, float) and not math.isfinite(value)
+        if infinite or type(value) not in types:
+            allowed = ", ".join(kind.__name__ for kind in types)
             raise InputError(
-                f"record {plain['metric']}: tag {key} must be text, a number, a boolean or None, "
-                f"got {value!r}"
+                f"record's {key} must be finite and of type {allowed}, got {value!r}: {plain}"
             )
-        if isinstance(value, float) and not math.isfinite(value):
-            raise InputError(f"record {plain['metric']}: {key} must be finite, got {value}")
     return plain
 
 

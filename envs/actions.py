@@ -55,11 +55,9 @@ def check_candidates(candidates: Sequence[tuple[float, float]]) -> np.ndarray:
     """
     views = np.asarray(candidates, dtype=np.float64)
     low, high = np.rad2deg(CAMERA_RANGE.elevation)
-    valid = views.ndim == 2 and views.shape[0] > 0 and views.shape[1] == 2
-    if valid:
-        valid = bool((np.abs(views[:, 0]) <= 180).all())
-        valid &= bool(((views[:, 1] >= low - 1e-9) & (views[:, 1] <= high + 1e-9)).all())
-    if not valid:
+    pairs = views.ndim == 2 and views.shape[0] > 0 and views.shape[1] == 2
+    bounds = (-180, low - 1e-9), (180, high + 1e-9)
+    if not pairs or not ((bounds[0] <= views) & (views <= bounds[1])).all():
         raise InputError(
             "candidate_views must be pairs of azimuth offset (-180 to 180 degrees) and elevation "
             f"({low:.0f} to {high:.0f} degrees), got {candidates!r}"

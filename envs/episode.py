@@ -54,14 +54,9 @@ class Episode:
 
     def copy(self) -> Episode:
         """Copies the episode; images and estimates are shared."""
-        return replace(
-            self,
-            noise_rng=deepcopy(self.noise_rng),
-            cameras=list(self.cameras),
-            views=list(self.views),
-            estimates=list(self.estimates),
-            errors=list(self.errors),
-        )
+        names = ("cameras", "views", "estimates", "errors")
+        lists: dict[str, Any] = {name: list(getattr(self, name)) for name in names}
+        return replace(self, noise_rng=deepcopy(self.noise_rng), **lists)
 
     def add_estimate(self, estimate: PoseEstimate) -> None:
         """Adds the estimate from all views so far, and its error.

@@ -22,7 +22,6 @@ def parse_reset_options(
     """Validates the argument of ``reset``.
 
     Args:
-        options: the argument of ``reset``.
         object_names: objects of the environment.
         camera_range: range of a reference camera given as a dict.
 

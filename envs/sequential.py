@@ -101,12 +101,7 @@ class TwoViewPoseSequentialEnv(TwoViewPoseDiscreteEnv):
         return super().reset(seed=seed, options=options)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Takes another view, or stops.
-
-        Raises:
-            InputError: if the action is not in the action space.
-            ResetNeeded: if the episode has ended.
-        """
+        """Takes another view, or stops; the errors are those of `TwoViewPose-v0`."""
         episode = self._unfinished()
         chosen = candidate_view(action, len(self._candidates) + 1)
         reward = 0.0

@@ -16,12 +16,7 @@ class CounterfactualEnv(ViewSelectionEnv):
     def simulate_actions(
         self, actions: Sequence[Any]
     ) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
-        """Returns what ``step`` would return for each action, with estimates in batches.
-
-        Raises:
-            InputError: as :meth:`step`.
-            ResetNeeded: as :meth:`step`.
-        """
+        """What ``step`` would return (or raise) for each action, with estimates in batches."""
         with self._restored_episode() as before:
             outputs = []
             size = batch_size(self._estimator)

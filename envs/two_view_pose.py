@@ -163,11 +163,7 @@ class TwoViewPoseEnv(CounterfactualEnv):
         return spaces.Box(-1.0, 1.0, (3,), np.float32)
 
     def camera_pose(self, action: Any) -> np.ndarray:
-        """The camera that an action (3,) would lead to now: T_cam_world (4, 4).
-
-        Raises:
-            InputError: if the action is NaN or not in the action space.
-        """
+        """As in the base class, for an action (3,)."""
         azimuth, elevation, distance = box_view(action)
         return view_sphere_pose(
             self.sphere_center, distance, self.reference_position.azimuth + azimuth, elevation
@@ -209,11 +205,7 @@ class TwoViewPoseDiscreteEnv(CounterfactualEnv):
         return spaces.Discrete(len(self._candidates))
 
     def camera_pose(self, action: Any) -> np.ndarray:
-        """The camera that an action would lead to now: T_cam_world (4, 4).
-
-        Raises:
-            InputError: if the action is not in the action space.
-        """
+        """As in the base class, for the index of a candidate view."""
         azimuth, elevation = self._candidates[candidate_view(action, len(self._candidates))]
         reference = self.reference_position
         return view_sphere_pose(

@@ -1,20 +1,16 @@
 """Figures of ``evaluate-agent``: recall, regret, and the chosen views on view spheres."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from ...core.plotting import INK, new_figure, save, tidy
 from ...envs.simulation.carrier import directions_from
 from ...envs.view_banks.bank import ViewBank
 from .outcomes import ORACLE, STAY, SUCCESS, Outcome, display_name
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from .sphere_figure import view_spheres
 
 PALETTE = ("#7a7f87", "#e69f00", "#56a4d9", "#1b8a5a", "#c8401e", "#8250df", "#24292f", "#b35900")
 ANGLES = np.arange(0.0, 181.0, 15.0)
@@ -31,8 +27,6 @@ def draw_figures(
     if ORACLE in outcomes:
         paths.append(save(regrets(outcomes), folder / "regret.svg"))
     if bank is not None:
-        from .sphere_figure import view_spheres
-
         paths.append(save(view_spheres(bank, outcomes), folder / "view_spheres.png"))
     return paths
 

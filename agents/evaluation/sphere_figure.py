@@ -1,11 +1,10 @@
 """View spheres from above: the true error of every candidate, and the policies' choices."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from ...core.plotting import INK, new_figure
 from ...envs.observation import SpherePosition
@@ -13,23 +12,18 @@ from ...envs.view_banks.bank import ViewBank
 from ..policies.registry import BASELINES
 from .outcomes import ORACLE, REFERENCE_POLICY, Outcome, display_name
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 SCENES = 6
 _MARKERS = ("o", "s", "D", "h")
 
 
-def view_spheres(
-    bank: ViewBank, outcomes: Mapping[str, Sequence[Outcome]], count: int = SCENES
-) -> Figure:
-    """Plots ``count`` scenes in which the choice matters, spread over the visibilities.
+def view_spheres(bank: ViewBank, outcomes: Mapping[str, Sequence[Outcome]]) -> Figure:
+    """Plots ``SCENES`` scenes in which the choice matters, spread over the visibilities.
 
     The reference camera (blue) is at the bottom; the center of the half circle is straight above
     the object, the rim is the table's plane. A dot is a candidate view, red where it fails. The
     policies' choices are found from the errors of their ``outcomes``.
     """
-    scenes = most_informative_scenes(bank, count)
+    scenes = most_informative_scenes(bank)
     figure = new_figure(2.7 * len(scenes), 4.9)
     rows = figure.add_gridspec(2, len(scenes), height_ratios=(1.0, 0.62))
     policies = [REFERENCE_POLICY, *(name for name in outcomes if name not in BASELINES), ORACLE]
@@ -93,9 +87,9 @@ def slot_of_outcome(bank: ViewBank, scene: int, outcome: Outcome) -> int | None:
     return slot if differences[slot] < 1e-5 else None
 
 
-def most_informative_scenes(bank: ViewBank, count: int) -> list[int]:
+def most_informative_scenes(bank: ViewBank) -> list[int]:
     """The scenes with the largest spread of errors, one per quantile bin of visibility."""
     order = np.argsort(bank.visibility, kind="stable")
     spread = np.minimum(bank.second_error, 0.3).std(axis=1)
-    parts = np.array_split(order, min(count, len(order)))
+    parts = np.array_split(order, min(SCENES, len(order)))
     return [int(part[np.argmax(spread[part])]) for part in parts]

@@ -176,10 +176,8 @@ def check_tensors(
     found: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor], source: str
 ) -> None:
     """Raises InputError unless names and shapes agree."""
-    missing, unknown = (
-        sorted(expected.keys() - found.keys()),
-        sorted(found.keys() - expected.keys()),
-    )
+    missing = sorted(expected.keys() - found.keys())
+    unknown = sorted(found.keys() - expected.keys())
     if missing or unknown:
         raise InputError(f"{source} does not fit: missing {missing[:5]}, unknown {unknown[:5]}")
     for key, tensor in expected.items():

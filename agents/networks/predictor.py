@@ -19,9 +19,6 @@ from ...pose_estimator.networks.features import FeatureConfig
 
 VIEW_FEATURES = 8
 
-ROI_SCALE = FeatureConfig().roi_scale
-"""Side of a ROI in object diameters."""
-
 LINE_POINTS = (0.0, 0.03, 0.06, 0.09, 0.12, 0.16, 0.2, 0.25, 0.3)
 """Distances from the object in meters at which the line of sight is sampled in the crop."""
 
@@ -136,7 +133,7 @@ def vector_fields(observation_space: spaces.Dict) -> tuple[tuple[str, ...], int]
 
 def crop_widths(diameters: Sequence[float]) -> list[float]:
     """Widths in meters, at the object, of the crops of objects of these diameters."""
-    return [CROP_SCALE * ROI_SCALE * diameter for diameter in diameters]
+    return [CROP_SCALE * FeatureConfig().roi_scale * diameter for diameter in diameters]
 
 
 def view_features(

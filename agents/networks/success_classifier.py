@@ -17,16 +17,15 @@ class SuccessClassifier(nn.Module):
 
     Args:
         inputs: number of :func:`success_features`.
-        dropout: dropout probability of the hidden units.
     """
 
-    def __init__(self, inputs: int, dropout: float = 0.2) -> None:
+    def __init__(self, inputs: int) -> None:
         super().__init__()
         self.layers = nn.Sequential(
             nn.LayerNorm(inputs),
             nn.Linear(inputs, HIDDEN),
             nn.ReLU(),
-            nn.Dropout(dropout),
+            nn.Dropout(0.2),
             nn.Linear(HIDDEN, HIDDEN),
             nn.ReLU(),
             nn.Linear(HIDDEN, 1),

@@ -52,8 +52,7 @@ def make_policy(name_or_path: str | os.PathLike[str], env: gym.Env, device: str 
         device: where the networks of a trained one run, see ``load_policy``.
 
     Raises:
-        InputError: if it is neither, the file is corrupted or of other spaces than ``env``'s, or
-            there is no such device.
+        InputError: if it is neither, or as ``load_policy``.
     """
     path = agent_file(name_or_path)
     if path is None:

@@ -1,9 +1,7 @@
 """What policies may ask an environment: cameras after its actions, no ground truth."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -11,12 +9,10 @@ from gymnasium import spaces
 
 from ...core.errors import InputError
 from ...envs.actions import AZIMUTH_LIMIT
+from ...envs.base import ViewSelectionEnv
 from ...envs.simulation.camera import CAMERA_RANGE
 from ...envs.simulation.carrier import camera_center
 from ...envs.two_view_pose import CANDIDATE_VIEWS
-
-if TYPE_CHECKING:
-    from ...envs.base import ViewSelectionEnv
 
 Action = np.ndarray | int
 

@@ -95,7 +95,7 @@ class TrainAgentConfig:
         if self.bank is not None:
             action = self.action or ("box" if self.algo == "sac" else "discrete")
             return {"bank": str(self.bank), "action": action} | self.env_kwargs
-        return environment_arguments(self.scene, self.objects, self.estimator, self.env_kwargs)
+        return environment_arguments(self)
 
     @property
     def device_argument(self) -> dict[str, Any]:
@@ -150,8 +150,7 @@ class EvaluateAgentConfig:
     @property
     def environment_arguments(self) -> dict[str, Any]:
         """Keyword arguments of ``gymnasium.make``."""
-        own = environment_arguments(self.scene, self.objects, self.estimator, self.env_kwargs)
-        return own | device_argument(self.estimator, self.device)
+        return environment_arguments(self) | device_argument(self.estimator, self.device)
 
 
 def _given(config: object, *names: str) -> list[str]:
@@ -159,14 +158,10 @@ def _given(config: object, *names: str) -> list[str]:
     return [name for name in names if getattr(config, name) is not None]
 
 
-def environment_arguments(
-    scene: str, objects: tuple[str, ...], estimator: str | None, more: dict[str, Any]
-) -> dict[str, Any]:
+def environment_arguments(config: TrainAgentConfig | EvaluateAgentConfig) -> dict[str, Any]:
     """Keyword arguments of ``gymnasium.make``; no objects means the environment's default."""
-    arguments: dict[str, Any] = {"scene": scene, "estimator": estimator}
-    if objects:
-        arguments["objects"] = list(objects)
-    return arguments | more
+    objects = {"objects": list(config.objects)} if config.objects else {}
+    return {"scene": config.scene, "estimator": config.estimator} | objects | config.env_kwargs
 
 
 def device_argument(estimator: str | None, device: str) -> dict[str, Any]:

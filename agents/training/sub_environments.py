@@ -26,17 +26,12 @@ def has_vector_env(env_id: str) -> bool:
     return isinstance(entry, str) and entry.startswith("two_view_pose.")
 
 
-def make_sub_environments(
-    env_id: str, n_envs: int = 1, env_kwargs: dict[str, Any] | None = None
-) -> VecEnv:
-    """Makes a monitored ``VecEnv`` of sub-environments that share one estimator.
+def make_sub_environments(env_id: str, n_envs: int, env_kwargs: dict[str, Any]) -> VecEnv:
+    """Makes a monitored ``VecEnv`` of ``n_envs`` sub-environments that share one estimator.
 
-    Args:
-        env_id: an id for which :func:`has_vector_env` holds.
-        n_envs: number of sub-environments.
-        env_kwargs: arguments of ``gymnasium.make_vec``.
+    :func:`has_vector_env` must hold for ``env_id``.
     """
-    vector = gym.make_vec(env_id, num_envs=n_envs, **env_kwargs or {})
+    vector = gym.make_vec(env_id, num_envs=n_envs, **env_kwargs)
     return VecMonitor(SharedEstimatorVecEnv(vector))
 
 

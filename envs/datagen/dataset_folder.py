@@ -30,15 +30,15 @@ def check_or_write_manifest(
     wanted = json.loads(json.dumps(settings, default=str))  # as read from a file
     if path.exists():
         before = json.loads(path.read_text())["settings"]
-        changed = [k for k in wanted.keys() | before.keys() if before.get(k) != wanted.get(k)]
+        changed = ", ".join(
+            f"{k} is {before.get(k)!r} there, {wanted.get(k)!r} here"
+            for k in sorted(wanted.keys() | before.keys())
+            if before.get(k) != wanted.get(k)
+        )
         if changed:
             raise InputError(
-                f"{path.parent} was made with other settings: "
-                + ", ".join(
-                    f"{k} is {before.get(k)!r} there, {wanted.get(k)!r} here"
-                    for k in sorted(changed)
-                )
-                + "; use another --out, or delete the folder"
+                f"{path.parent} was made with other settings: {changed}; use another --out, or "
+                "delete the folder"
             )
     path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, {"settings": wanted, **(more or {})})

@@ -5,20 +5,27 @@ depends only on the seed and its number, so neither the number of workers nor a 
 byte.
 """
 
-from __future__ import annotations
-
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tqdm import tqdm
 
+from ...core.results import versions, write_results
+from ...core.worker_pool import run_scenes
+from ...pose_estimator.bop.dataset import read_dataset
+from ...pose_estimator.bop.models import write_evaluation_models, write_models
+from ...pose_estimator.bop.pairs import PAIRS_FILE
+from ...pose_estimator.bop.targets import TARGETS_FILE, is_test, write_targets
+from ...pose_estimator.bop.writer import scene_folder, write_camera, write_pairs
+from ..simulation.intrinsics import scaled_intrinsics
+from .checksums import SUMS_FILE, verify, write_dataset_sums
 from .config import GenerateConfig
-
-if TYPE_CHECKING:
-    from ...assets.object_model import ObjectModel
+from .dataset_folder import check_or_write_manifest, remove_leftovers
+from .pair_list import two_view_pairs
+from .scene_plan import dataset_objects, plan_scene, target_names
 
 IGNORED_SETTINGS = frozenset(
     ("out", "scenes", "workers", "worker_memory", "shard", "coco", "verify", "json")
@@ -44,18 +51,17 @@ def generate(config: GenerateConfig) -> int:
         GraphicsUnavailable: if there is no OpenGL to render with.
         ChildProcessError: if several workers die on one scene.
     """
-    from ...core.worker_pool import run_scenes
-    from ...pose_estimator.bop.writer import scene_folder
-    from .checksums import SUMS_FILE, verify
-    from .scene_plan import dataset_objects
-    from .scene_writer import SceneWriter, is_finished
-
     if config.verify:
         return min(1, verify(config.out))
+    from .scene_writer import SceneWriter, is_finished  # imports the simulator
+
     objects = dataset_objects(config)
     write_manifest(config, tuple(objects))
     (config.out / SUMS_FILE).unlink(missing_ok=True)  # it marks a finished run
-    _write_models(config, objects)
+    size = (config.height, config.width)
+    write_models(config.out, objects.values())
+    write_evaluation_models(config.out, objects.values())
+    write_camera(config.out, scaled_intrinsics(size, "stretch"), size)
     part, parts = config.shard
     ids = range(part, config.scenes, parts)
     missing = [i for i in ids if not scene_folder(config.out, config.split, i).exists()]
@@ -77,11 +83,6 @@ def write_manifest(config: GenerateConfig, object_names: tuple[str, ...]) -> Non
     Raises:
         InputError: if the folder was made with other settings.
     """
-    from ...core.results import versions
-    from .checksums import SUMS_FILE
-    from .dataset_folder import check_or_write_manifest
-    from .scene_plan import target_names
-
     targets = target_names(config, object_names)
     settings: dict[str, Any] = asdict(config)
     settings |= {"objects": targets, "distractors": object_names[len(targets) :]}
@@ -93,28 +94,8 @@ def write_manifest(config: GenerateConfig, object_names: tuple[str, ...]) -> Non
     )
 
 
-def _write_models(config: GenerateConfig, objects: Mapping[str, ObjectModel]) -> None:
-    """Writes the models and the camera."""
-    from ...pose_estimator.bop.models import write_evaluation_models, write_models
-    from ...pose_estimator.bop.writer import write_camera
-    from ..simulation.intrinsics import scaled_intrinsics
-
-    size = (config.height, config.width)
-    write_models(config.out, objects.values())
-    write_evaluation_models(config.out, objects.values())
-    write_camera(config.out, scaled_intrinsics(size, "stretch"), size)
-
-
 def _write_lists(config: GenerateConfig) -> None:
     """Writes the pairs, targets and checksums of the finished scenes."""
-    from ...pose_estimator.bop.dataset import read_dataset
-    from ...pose_estimator.bop.pairs import PAIRS_FILE
-    from ...pose_estimator.bop.targets import TARGETS_FILE, is_test, write_targets
-    from ...pose_estimator.bop.writer import write_pairs
-    from .checksums import write_dataset_sums
-    from .dataset_folder import remove_leftovers
-    from .pair_list import two_view_pairs
-
     out = config.out
     write_pairs(out / PAIRS_FILE, two_view_pairs(config))
     if is_test(config.split):
@@ -132,9 +113,6 @@ def _report(
     seconds: float,
 ) -> None:
     """Prints the number of images and their rate; writes the results file."""
-    from ...core.results import write_results
-    from .scene_plan import plan_scene
-
     images = {i: len(plan_scene(config, i, names).frames) for i in scene_ids}
     total, new = sum(images.values()), sum(images[i] for i in made)
     print(

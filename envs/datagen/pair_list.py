@@ -1,6 +1,6 @@
 """The two-view pairs of a generated dataset, read from its files."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -31,36 +31,22 @@ def two_view_pairs(config: GenerateConfig) -> Iterator[BopPair]:
         images = dataset.scene(scene_id)
         target = obj_ids[plan.target]
         targets = [obj_ids[name] for name in target_names(config, tuple(obj_ids))]
-        for first, second in plan.pairs:
-            pair = _pair(images[first], images[second], target)
+        for number, second_number in plan.pairs:
+            first, second = images[number], images[second_number]
+            pair = _pair(first, second, target)
             if config.annotations == "full":
-                pair = replace(pair, visib_fracts=_visibility(images[first], images[second]))
+                both = zip(first.annotations, second.annotations, strict=True)
+                fractions = {a.obj_id: (a.visibility, b.visibility) for a, b in both}
+                pair = replace(pair, visib_fracts=fractions)
             if plan.length is None and not plan.stereo:
                 if config.pair_angles[0] <= pair.baseline_deg <= config.pair_angles[1]:
                     yield pair
                 continue
-            for obj_id in _visible_targets(
-                images[first], targets if SCENE_KINDS[plan.kind].all_targets else [target]
-            ):
-                gap = None if plan.stereo else second - first
-                yield replace(pair, target_obj_id=obj_id, gap=gap)
-
-
-def _visible_targets(reference: BopImage, targets: Sequence[int]) -> list[int]:
-    """Returns the targets that are visible enough."""
-    return [
-        a.obj_id
-        for a in reference.annotations
-        if a.visibility >= MIN_VISIBLE_FRACTION and a.obj_id in targets
-    ]
-
-
-def _visibility(first: BopImage, second: BopImage) -> dict[int, tuple[float, float]]:
-    """Returns the visible fractions in both views; an image lists all objects of its scene."""
-    return {
-        a.obj_id: (a.visibility, b.visibility)
-        for a, b in zip(first.annotations, second.annotations, strict=True)
-    }
+            wanted = targets if SCENE_KINDS[plan.kind].all_targets else [target]
+            gap = None if plan.stereo else second_number - number
+            for a in first.annotations:
+                if a.visibility >= MIN_VISIBLE_FRACTION and a.obj_id in wanted:
+                    yield replace(pair, target_obj_id=a.obj_id, gap=gap)
 
 
 def _pair(first: BopImage, second: BopImage, target: int) -> BopPair:

@@ -4,21 +4,18 @@ The images of a scene are views on the sphere around its target, the first of th
 view; or pairs of a stereo rig; or frames of a hand-held sequence with several reference views.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...assets import OBJECT_NAMES
+from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
+from ...pose_estimator.bop.objects import load_objects
 from ..simulation.scene_kinds import SCENE_MIXTURES
 from ..simulation.trajectories.stereo import rig_pairs
-
-if TYPE_CHECKING:
-    from ...assets.object_model import ObjectModel
-    from .config import GenerateConfig
+from .config import GenerateConfig
 
 
 @dataclass(frozen=True)
@@ -48,9 +45,6 @@ def dataset_objects(config: GenerateConfig) -> dict[str, ObjectModel]:
     Raises:
         InputError: if a distractor is a folder of several, or as ``load_objects``.
     """
-    from ...assets import OBJECT_NAMES
-    from ...pose_estimator.bop.objects import load_objects
-
     if not config.distractors:
         return load_objects(config.objects or None)
     if len(load_objects(config.distractors)) != len(config.distractors):

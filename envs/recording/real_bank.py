@@ -43,9 +43,7 @@ def record_real_bank(config: RecordBankConfig) -> None:
         InputError: if the dataset has no such pairs for the objects of the weights.
     """
     recorder = _RealRecorder(config)
-    parts = []
-    for image, name, seconds in tqdm(recorder.scenes(), unit="scene"):
-        parts.append(recorder.record(image, name, seconds))
+    parts = [recorder.record(*scene) for scene in tqdm(recorder.scenes(), unit="scene")]
     if not parts:
         raise InputError(
             f"{config.data}: no photograph has {MIN_SECOND_VIEWS} others of an object that the "
@@ -68,33 +66,27 @@ class _RealRecorder:
         self._estimator: Any = pose_estimator.load(weights=config.weights, device=config.device)
         self._models = self._estimator.networks.objects
         self._dataset = read_dataset(root, config.split)
-        self._names = tuple(load_objects(None))
+        self._own = load_objects(None)
+        self._names = tuple(self._own)
         ids = {model.obj_id: name for name, model in self._models.items() if name in self._names}
-        measured = (
-            dataset_objects(root, ids, ignore_unknown=True)
-            if has_models(root)
-            else {i: self._models[name] for i, name in ids.items()}
-        )
-        self._measured = {ids[obj_id]: model for obj_id, model in measured.items()}
+        self._measured: dict[str, Any] = {name: self._models[name] for name in ids.values()}
+        if has_models(root):
+            measured = dataset_objects(root, ids, ignore_unknown=True)
+            self._measured = {ids[obj_id]: model for obj_id, model in measured.items()}
         self._fields = observation_space(len(self._names), IMAGE_SIZE)
         self._scenes: dict[int, dict[int, BopImage]] = {}
         self._candidates = check_candidates(CANDIDATE_VIEWS)
 
     def header(self) -> BankHeader:
         """Metadata of the bank; objects that the dataset lacks have our diameters."""
-        own = load_objects(None)
-        diameters = [
-            float(self._measured[name].diameter if name in self._measured else own[name].diameter)
-            for name in self._names
-        ]
-        weights = Path(self._config.weights)
+        models = self._own | self._measured
         return BankHeader(
             source=Path(self._config.data or "").name,
             scene=self._config.split,
             object_names=self._names,
-            diameters=tuple(diameters),
+            diameters=tuple(float(models[name].diameter) for name in self._names),
             candidate_views=CANDIDATE_VIEWS,
-            estimator=f"mid, weights {weights.name}",
+            estimator=f"mid, weights {Path(self._config.weights).name}",
             seed=self._config.seed,
         )
 

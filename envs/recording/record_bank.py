@@ -4,23 +4,28 @@ Each scene is a file until all are recorded, so a killed run resumes; then they 
 scene depends on the seed and its number only, not on the number of workers or on restarts.
 """
 
-from __future__ import annotations
-
 import shutil
 import time
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from tqdm import tqdm
 
+from ...core.device import check_device
 from ...core.errors import InputError
+from ...core.worker_pool import run_scenes
+from ..datagen.dataset_folder import check_or_write_manifest
+from ..view_banks.bank import (
+    BankHeader,
+    ViewBank,
+    concatenate,
+    read_arrays,
+    read_bank,
+    write_bank,
+)
 from .config import RecordBankConfig
-
-if TYPE_CHECKING:
-    from ..view_banks.bank import BankHeader, ViewBank
 
 IGNORED_SETTINGS = frozenset(("out", "scenes", "device", "workers", "worker_memory", "verify"))
 """Options that do not change the recorded scenes."""
@@ -34,9 +39,6 @@ def record_bank(config: RecordBankConfig) -> None:
             there is no such device.
         GraphicsUnavailable: if there is no OpenGL.
     """
-    from ...core.device import check_device
-    from ..view_banks.bank import read_bank
-
     if config.out.exists() or config.verify:
         bank = read_bank(config.out)
         if not config.verify:
@@ -54,9 +56,6 @@ def record_bank(config: RecordBankConfig) -> None:
 
 
 def record_scenes(config: RecordBankConfig) -> None:
-    from ...core.worker_pool import run_scenes
-    from ..datagen.dataset_folder import check_or_write_manifest
-    from ..view_banks.bank import concatenate, read_arrays, write_bank
     from .recorder import BankRecorder, make_header
 
     settings = {k: v for k, v in asdict(config).items() if k not in IGNORED_SETTINGS}

@@ -134,7 +134,9 @@ def apply_depth_sensor(
     lost = rng.random(exact.shape, np.float32) < 1 / (
         1 + np.exp(np.clip((limit - angle) / _GRAZING_SOFTNESS, -40, 40))
     )
-    lost |= _edge_holes(edge, config, rng)
+    # Next to depth edges, the matching fails in patches.
+    uniform = norm.cdf(_smooth_noise(exact.shape, config.correlation, rng))
+    lost |= _dilated(edge, 1) & (uniform < config.edge_loss)
     if config.baseline > 0:
         lost |= projector_shadow(exact, K, config.baseline)
     lost |= (seen <= 0) | (out < config.min_depth) | (out > config.max_depth)
@@ -176,14 +178,6 @@ def _with_jittered_edges(
         )
     )
     return np.where(_dilated(edge, 3), depth[rows, columns], depth)
-
-
-def _edge_holes(
-    edge: np.ndarray, config: DepthSensorConfig, rng: np.random.Generator
-) -> np.ndarray:
-    """Returns patches (H, W) next to depth edges in which the matching fails."""
-    uniform = norm.cdf(_smooth_noise(edge.shape, config.correlation, rng))
-    return _dilated(edge, 1) & (uniform < config.edge_loss)
 
 
 def _smooth_noise(

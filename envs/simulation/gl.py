@@ -10,6 +10,7 @@ import platform
 import sys
 from typing import Any
 
+_NAMED = {"egl": "egl", "osmesa": "osmesa", "glfw": "glfw", "glx": "glfw"}
 _LIBRARIES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 INSTALL_HINT = "apt-get install -y libegl1 libgl1-mesa-dri   (or: apt-get install -y libosmesa6)"
 
@@ -57,19 +58,14 @@ def open_context(width: int, height: int) -> Any:
             'support: start workers with "spawn" or "forkserver", or before the first image'
         )
     wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
-    candidates: tuple[str, ...]
     if _backend is not None:
-        candidates = (_backend,)
+        candidates = [_backend]
     elif wanted in ("disable", "disabled", "off", "false", "0"):
         raise GraphicsUnavailable(f"MUJOCO_GL={wanted} disables rendering; unset it")
     elif platform.system() != "Linux":
-        candidates = ("gl_context",)
-    elif wanted in ("egl", "osmesa"):
-        candidates = (wanted,)
-    elif wanted in ("glfw", "glx"):
-        candidates = ("glfw",)
+        candidates = ["gl_context"]
     else:
-        candidates = ("egl", "osmesa")
+        candidates = [_NAMED[wanted]] if wanted in _NAMED else ["egl", "osmesa"]
     reasons = []
     for name in candidates:
         try:

@@ -94,21 +94,19 @@ class Graphics:
         return rect
 
     def read(
-        self, rect: mujoco.MjrRect, rgb: bool = True, depth: bool = False
-    ) -> tuple[np.ndarray | None, np.ndarray | None]:
+        self, rect: mujoco.MjrRect, depth: bool = False
+    ) -> tuple[np.ndarray, np.ndarray | None]:
         """Returns the last image: RGB (H, W, 3) uint8 and z-depth (H, W) float32 in meters."""
         shape = (rect.height, rect.width)
-        pixels = np.empty((*shape, 3), dtype=np.uint8) if rgb else None
+        pixels = np.empty((*shape, 3), dtype=np.uint8)
         buffer = np.empty(shape, dtype=np.float32) if depth else None
         mujoco.mjr_readPixels(pixels, buffer, rect, self._context)
-        if pixels is not None:
-            pixels = np.ascontiguousarray(pixels[::-1])
         if buffer is not None:
             # The buffer holds d = near (far - z) / (z (far - near)), reversed for precision.
             buffer = buffer[::-1] * np.float32((FAR - NEAR) / (FAR * NEAR))
             buffer += np.float32(1 / FAR)
             np.divide(np.float32(1.0), buffer, out=buffer)
-        return pixels, buffer
+        return np.ascontiguousarray(pixels[::-1]), buffer
 
     def geoms(self, rect: mujoco.MjrRect, numbers: np.ndarray | None = None) -> np.ndarray:
         """Returns the geom at each pixel of an image drawn with ``segment``, (H, W) int32, or -1.
@@ -118,7 +116,7 @@ class Graphics:
             numbers: of the model's geoms, (ngeom,); their ids if None.
         """
         pixels, _ = self.read(rect)
-        assert pixels is not None and self._scene is not None
+        assert self._scene is not None
         table = np.full(256, -1, dtype=np.int32)  # segment id + 1 is a pixel's first byte
         for geom in self._scene.geoms[: self._scene.ngeom]:
             if geom.segid >= 0 and geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
@@ -145,9 +143,7 @@ class Graphics:
                     rect = self.draw(
                         T_cam_world, tile_K, *tile.shape, segment=True, groups=(GeomGroup.ISOLATED,)
                     )
-                    pixels, _ = self.read(rect)
-                    assert pixels is not None
-                    tile[:] = pixels[..., 0] > 0
+                    tile[:] = self.read(rect)[0][..., 0] > 0
         finally:
             group[geom] = before
         return silhouette
@@ -247,7 +243,6 @@ def check_rendering() -> None:
     mujoco.mj_forward(world.model, graphics._data)
     K = np.array([[32.0, 0.0, 15.5], [0.0, 32.0, 15.5], [0.0, 0.0, 1.0]])
     image, _ = graphics.read(graphics.draw(view_sphere_pose(np.zeros(3), 2.0, 0.5, 0.5), K, 32, 32))
-    assert image is not None
     if image.std() < 1:
         raise RuntimeError(f"{backend()} renders an empty image")
     print(backend())

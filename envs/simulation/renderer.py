@@ -3,8 +3,6 @@
 All passes use the same rasterizer, so RGB, depth and masks agree to the pixel.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,7 +75,6 @@ class SceneRenderer:
         graphics = self._scene.graphics
         rect = graphics.draw(T_cam_world, K, self.height, self.width, shadows=self._scene.shadows)
         rgb, z = graphics.read(rect, depth=depth)
-        assert rgb is not None
         names, present = self._scene.present_objects()
         instances = None
         if masks:
@@ -90,9 +87,3 @@ class SceneRenderer:
     def close(self) -> None:
         """Frees the scene's GL context; the next image opens a new one."""
         self._scene.graphics.close()
-
-    def __enter__(self) -> SceneRenderer:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()

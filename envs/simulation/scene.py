@@ -255,10 +255,6 @@ class Scene:
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)
 
-    def close(self) -> None:
-        """Frees the GL context; the next image opens a new one."""
-        self.graphics.close()
-
 
 def _resize(model: mujoco.MjModel, geom: int, size: np.ndarray) -> None:
     """Resizes a box, cylinder or sphere and its collision bounds."""

@@ -99,11 +99,7 @@ class SensorState:
 
 
 def apply_sensor(rgb: np.ndarray, config: SensorConfig, rng: np.random.Generator) -> np.ndarray:
-    """Returns a copy of an image (H, W, 3) uint8, degraded with newly sampled parameters.
-
-    Raises:
-        InputError: if the image is not uint8 RGB.
-    """
+    """:meth:`SensorState.apply` with newly sampled parameters."""
     return SensorState.sample(config, rng).apply(rgb, rng)
 
 

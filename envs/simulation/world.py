@@ -102,18 +102,13 @@ def compile_world(objects: Mapping[str, ObjectModel]) -> World:
         )
         _make_collidable(geom)
     model = spec.compile()
-
-    def ids(kind: mujoco.mjtObj, names: list[str]) -> np.ndarray:
-        return np.array([mujoco.mj_name2id(model, kind, name) for name in names], dtype=np.int64)
-
-    object_names = tuple(objects)
-    object_geoms = ids(mujoco.mjtObj.mjOBJ_GEOM, [f"object:{name}" for name in object_names])
-    shape_geoms = ids(mujoco.mjtObj.mjOBJ_GEOM, [f"shape{i}" for i in range(len(SHAPE_KINDS))])
+    object_geoms = np.array([model.geom(f"object:{name}").id for name in objects], np.int64)
+    shape_geoms = np.array([model.geom(f"shape{i}").id for i in range(len(SHAPE_KINDS))], np.int64)
     moving = np.concatenate([object_geoms, shape_geoms])
     joints = model.body_jntadr[model.geom_bodyid[moving]]
     return World(
         model=model,
-        object_names=object_names,
+        object_names=tuple(objects),
         object_geoms=object_geoms,
         shape_geoms=shape_geoms,
         materials={model.material(i).name: i for i in range(model.nmat)},

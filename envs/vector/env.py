@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,23 +22,13 @@ from ...pose_estimator.fusion.batching import estimate_all
 from ...pose_estimator.methods import DEFAULT_METHOD
 from ...pose_estimator.types import PoseEstimate
 from ..base import ViewSelectionEnv
-from ..protocol import PoseEstimator, resolve_estimator
+from ..protocol import resolve_estimator
 from ..simulation.simulator import SceneInfo, SceneRequest, SceneSimulator
 from ..two_view_pose import TwoViewPoseDiscreteEnv, TwoViewPoseEnv
 from .remote_simulator import SimulatorWorkers
 
 _Estimates = Future[list[PoseEstimate]] | None
 """Of a batch of sub-environments; None without an estimator."""
-
-
-def make_two_view_pose(num_envs: int = 1, **kwargs: Any) -> TwoViewPoseVectorEnv:
-    """Makes a vector of ``TwoViewPose-v0``; see :class:`TwoViewPoseVectorEnv`."""
-    return TwoViewPoseVectorEnv(TwoViewPoseEnv, num_envs, **kwargs)
-
-
-def make_two_view_pose_discrete(num_envs: int = 1, **kwargs: Any) -> TwoViewPoseVectorEnv:
-    """Makes a vector of ``TwoViewPoseDiscrete-v0``; see :class:`TwoViewPoseVectorEnv`."""
-    return TwoViewPoseVectorEnv(TwoViewPoseDiscreteEnv, num_envs, **kwargs)
 
 
 class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
@@ -102,11 +93,6 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
         self.single_action_space = first.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-
-    @property
-    def estimator(self) -> PoseEstimator | None:
-        """The estimator that all sub-environments share."""
-        return self._estimator
 
     def reset(
         self,
@@ -236,3 +222,7 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
         if estimates is not None:
             for i, estimate in zip(batch, estimates.result(), strict=True):
                 self.envs[i].add_estimate(estimate)
+
+
+make_two_view_pose = partial(TwoViewPoseVectorEnv, TwoViewPoseEnv)
+make_two_view_pose_discrete = partial(TwoViewPoseVectorEnv, TwoViewPoseDiscreteEnv)

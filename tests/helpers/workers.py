@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+from contextlib import closing
 
 import numpy as np
 from two_view_pose import assets
@@ -17,9 +18,9 @@ ALONE = SceneConfig(clutter_objects=(0, 0), plain_shapes=(0, 0))
 
 
 def render_duck(queue: multiprocessing.Queue) -> None:
-    """Puts a image of a duck alone on the table into the queue."""
+    """Puts an image of a duck alone on the table into the queue."""
     scene = Scene(assets.load_objects(["duck"]), ALONE, Randomization.none())
-    with SceneRenderer(scene, 48, 64) as renderer:
+    with closing(SceneRenderer(scene, 48, 64)) as renderer:
         state = scene.reset(np.random.default_rng(0), "duck")
         queue.put(renderer.render(state.T_cam_world).rgb)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -56,7 +57,7 @@ def render_costs(bodies: tuple[int, ...], repeats: int) -> list[Record]:
         "RGB, depth and masks": {"depth": True, "masks": True},
     }
     times: dict[tuple[str, int], list[float]] = {(k, n): [] for k in kinds for n in bodies}
-    with SceneRenderer(scene) as renderer:
+    with closing(SceneRenderer(scene)) as renderer:
         for _ in range(repeats + WARM_UP):
             for count in bodies:
                 show(scene, count)

@@ -51,7 +51,7 @@ def drawn_scene(seed: int) -> tuple[Scene, np.ndarray]:
     """A scene after a reset, with its OpenGL context closed, and its T_cam_world (4, 4)."""
     scene = Scene(assets.load_objects(None))
     state = scene.reset(np.random.default_rng(seed), scene.object_names[0])
-    scene.close()
+    scene.graphics.close()
     return scene, state.T_cam_world
 
 

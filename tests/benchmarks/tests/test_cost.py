@@ -1,5 +1,7 @@
 """Cost against size: the measured scene, records and figure."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 from benchmarks.groups import cost
@@ -13,7 +15,7 @@ def test_number_of_bodies_in_view():
     scene = cost.crowded_scene(14)
     T_cam_world = cost.view_sphere_pose(np.zeros(3), 1.4, 0.0, np.deg2rad(50.0))
     sky = []
-    with SceneRenderer(scene) as renderer:
+    with closing(SceneRenderer(scene)) as renderer:
         for count in (1, 14):
             cost.show(scene, count)
             assert len(scene.arrangement.objects) == count

@@ -44,7 +44,7 @@ def test_no_texture_and_no_camera_occurs_in_two_sets(objects) -> None:
             state = scene.reset(rng, "ball")
             textures.append(model.tex_data[start : start + size].tobytes())
             cameras.append(state.T_cam_world.tobytes())
-    scene.close()
+    scene.graphics.close()
     assert len(set(textures)) == len(set(cameras)) == 3 * len(seeds)
 
 

@@ -23,7 +23,7 @@ LMO_REAL = {0.1: 0.38, 0.25: 0.64, 0.5: 0.90, 0.75: 0.97}
 def heap(objects: dict[str, ObjectModel]) -> Iterator[Scene]:
     scene = Scene(objects, SceneConfig(kind="heap"), Randomization(textures=False))
     yield scene
-    scene.close()
+    scene.graphics.close()
 
 
 def test_all_objects_are_close_together_and_in_the_image(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import gc
 from collections.abc import Iterator
+from contextlib import closing
 
 import cv2
 import numpy as np
@@ -31,7 +32,7 @@ def scene(objects: dict[str, ObjectModel]) -> Iterator[Scene]:
     marker = primitive_model("marker", trimesh.creation.icosphere(3, 0.008), 9)
     scene = Scene({**objects, "marker": marker}, ALONE, Randomization.none())
     yield scene
-    scene.close()
+    scene.graphics.close()
 
 
 def place_objects(scene: Scene, **places: tuple[float, float, float]) -> dict[str, np.ndarray]:
@@ -61,7 +62,7 @@ def test_a_small_ball_is_drawn_where_opencv_projects_it(
     T_world_obj = place_objects(scene, marker=(0.03, -0.02, 0.5))["marker"]
     rng = np.random.default_rng(0)
     errors = []
-    with SceneRenderer(scene, height, width) as renderer:
+    with closing(SceneRenderer(scene, height, width)) as renderer:
         for K in (off_center, LINEMOD_K if height == 480 else off_center):
             for _ in range(12):
                 T = view_sphere_pose(
@@ -193,7 +194,7 @@ def test_textures_are_the_right_way_round() -> None:
     scene = Scene({"plate": model}, ALONE, Randomization.none())
     T_world_obj = place_objects(scene, plate=(0.0, 0.0, 0.4))["plate"]
     T = view_sphere_pose(np.zeros(3), 0.7, 0.3, 1.2)
-    with SceneRenderer(scene) as renderer:
+    with closing(SceneRenderer(scene)) as renderer:
         rgb = renderer.render(T).rgb
     wanted = {(-1, 1): "red", (1, 1): "green", (-1, -1): "blue", (1, -1): "yellow"}
     for (x, y), name in wanted.items():
@@ -283,7 +284,7 @@ def test_large_silhouettes_are_complete_and_do_not_enlarge_the_buffer(scene: Sce
         [0, 0, 0],
     ]
     geom = scene.world.object_geoms[scene.world.object_names.index("brick")]
-    scene.close()  # another test may have enlarged it
+    scene.graphics.close()  # another test may have enlarged it
     whole = scene.graphics.silhouette(geom, T_cam_world, K, 1200, 1800)
     assert scene.graphics.buffer_size == (480, 640) and scene.state is not None
     rows, columns = np.nonzero(whole)

@@ -23,7 +23,7 @@ def scene(objects: dict[str, ObjectModel]) -> Iterator[Scene]:
     """Light clutter, everything randomized."""
     scene = Scene(objects)
     yield scene
-    scene.close()
+    scene.graphics.close()
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def dense(objects: dict[str, ObjectModel]) -> Iterator[Scene]:
     """Clutter that occludes."""
     scene = Scene(objects, SceneConfig(kind="occlusion"), Randomization(textures=False))
     yield scene
-    scene.close()
+    scene.graphics.close()
 
 
 @pytest.mark.slow
@@ -46,7 +46,7 @@ def test_same_seed_same_bytes(scene: Scene, objects: dict[str, ObjectModel]) -> 
         SceneRenderer(s, 240, 320).render(first.T_cam_world, depth=True, masks=True)
         for s in (scene, twin)
     ]
-    twin.close()
+    twin.graphics.close()
     for name in ("rgb", "depth", "instances"):
         np.testing.assert_array_equal(getattr(frames[0], name), getattr(frames[1], name))
     other = scene.reset(np.random.default_rng(8), "brick")
@@ -178,13 +178,13 @@ def test_counts_and_orientations_follow_the_configuration(
         assert np.count_nonzero(shown == 1) == 1
         height = invert(state.T_cam_world)[2, 3] - 0.03
         assert height == pytest.approx(0.7 * np.sin(0.6), abs=1e-3)
-    scene.close()
+    scene.graphics.close()
 
 
 def test_one_object_alone_is_enough(objects: dict[str, ObjectModel]) -> None:
     scene = Scene({"ball": objects["ball"]}, SceneConfig(kind="occlusion"))
     assert set(scene.reset(np.random.default_rng(0), "ball").T_world_obj) == {"ball"}
-    scene.close()
+    scene.graphics.close()
 
 
 def test_shading_is_smooth_on_a_ball_and_sharp_on_a_box() -> None:
@@ -238,7 +238,7 @@ def test_occlusion_targets_are_occluded_from_many_sides(
                 T = view_sphere_pose(T_world_obj[:3, 3], 1.0, azimuth, np.deg2rad(45))
                 fractions.append(scene.probe_visibility(["brick"], T)[0])
         seen[kind] = np.array(fractions)
-        scene.close()
+        scene.graphics.close()
     assert seen["occlusion"].mean() < seen["clutter"].mean() - 0.1
     hidden, hidden_in_clutter = (np.mean(seen[kind] < 0.5) for kind in ("occlusion", "clutter"))
     assert hidden > 0.2 > hidden_in_clutter
