@@ -1,6 +1,6 @@
-"""The estimators, one method a file: ``single``, ``early``, ``late``, ``mid`` and ``rgbd``.
+"""The estimators, one method a file: ``single``, ``early``, ``late``, ``mid``, ``pnp``, ``rgbd``.
 
-``frontend.py`` detects and encodes views, ``two_view.py`` is the base class of the fusions,
-``symmetry_agreement.py`` makes views of symmetric objects consistent, ``loading.py`` loads an
-estimator with its weights, and ``estimate_files.py`` is the command ``estimate``.
+``frontend.py`` detects and encodes views, ``estimator.py`` is the base class, ``one_view.py`` and
+``joint_pnp.py`` fit poses to votes, ``loading.py`` loads an estimator with its weights, and
+``estimate_files.py`` is the command ``estimate``.
 """
