@@ -4,6 +4,6 @@
 records. ``measure.py`` measures one method on one test and ``log.py`` keeps each outcome, so that a
 run is resumable. ``tables.py`` turns outcomes into the records of results.json; ``report.py``,
 ``report_tables.py`` and ``figures.py`` turn those into a page. ``gallery.py``, ``images.py`` and
-``activations.py`` draw examples; ``cost.py`` times the methods. ``published.py`` holds the paper's
+``insides.py`` draw examples; ``cost.py`` times the methods. ``published.py`` holds the paper's
 results.
 """

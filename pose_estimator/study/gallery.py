@@ -8,14 +8,17 @@ import numpy as np
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
 from ...core.geometry import View
-from ..bop.dataset import read_depth
+from ..bop.dataset import BopPair
 from ..evaluation.evaluate_pairs import Estimator, read_views
 from ..methods import METHOD_TABLE
-from .activations import plot_activations
 from .cost import BATCH
-from .images import Example, draw_example
+from .images import Example, draw_gaps, draw_poses_of_methods
+from .insides import plot_insides
 from .measure import StudySet
-from .plan import BEST_GAP, Run, Work, choose_pairs
+from .plan import BEST_GAP, GAPS, Run, Work, choose_pairs
+
+GALLERY = 5
+"""Examples of each test in Figure 6."""
 
 
 def draw_gallery(
@@ -27,18 +30,44 @@ def draw_gallery(
     count: int,
     seed: int,
 ) -> None:
-    """Draws Figures 5 and 6 for ``count`` random pairs of each test, in place of older ones."""
+    """Draws Figures 3, 5 and 6 in place of older ones; the pairs are drawn at random.
+
+    ``count`` is the number of pairs of each test in Figure 5; 0 draws nothing.
+    """
     for old in folder.glob("*.png"):
         old.unlink()
+    if not count:
+        return
     rng = np.random.default_rng(seed)
-    number = 0
+    _draw_gaps(tests[0], folder / "gaps_1.png")
+    examples, number = [], 0
     for test in tests:
         work = at_best_gap(test, objects)
-        for chosen in rng.permutation(len(work))[:count]:
+        chosen = rng.permutation(len(work))[: max(count, GALLERY)]
+        mine = [make_example(test, work[index], estimators, objects) for index in chosen]
+        for example in mine[:count]:
             number += 1
-            example, depth = make_example(test, work[chosen], estimators, objects)
-            draw_example(example, folder / f"example_{number}.png")
-            plot_activations(example, estimators, depth, folder / f"insides_{number}.png")
+            plot_insides(example, estimators, folder / f"fusions_{number}.png")
+        examples += mine[:GALLERY]
+    draw_poses_of_methods(examples, folder / "poses_1.png")
+
+
+def _draw_gaps(test: StudySet, path: Path) -> None:
+    """Draws the second views of the first reference that has one at every gap."""
+    found: dict[tuple[int, int], dict[int, BopPair]] = {}
+    for pair in test.pairs:
+        assert pair.gap is not None
+        seconds = found.setdefault((pair.scene_id, pair.ref_image_id), {})
+        seconds.setdefault(pair.gap, pair)
+        if set(GAPS) <= set(seconds):
+            images = test.dataset.scene(pair.scene_id)
+            views = {}
+            for gap in GAPS:
+                own = seconds[gap]
+                shown = [images[own.ref_image_id], images[own.second_image_id]]
+                reference, views[gap] = read_views(shown, own.T_second_ref, depth=False)
+            draw_gaps(reference, views, path)
+            return
 
 
 def make_example(
@@ -46,8 +75,8 @@ def make_example(
     work: Work,
     estimators: Mapping[str, Estimator],
     objects: Mapping[str, ObjectModel],
-) -> tuple[Example, np.ndarray | None]:
-    """Runs every method on one pair; returns the example and the reference's depth map."""
+) -> Example:
+    """Runs every method on one pair."""
     pair, name = work
     model = objects[name]
     reference = test.dataset.scene(pair.scene_id)[pair.ref_image_id]
@@ -55,14 +84,10 @@ def make_example(
     if truth is None:
         place = f"scene {pair.scene_id}, image {pair.ref_image_id} of {test.name}"
         raise InputError(f"{name} is not in {place}")
-    title = (
-        f"{name}, {test.name} test, sequence {pair.scene_id}, frames {pair.ref_image_id} "
-        f"and {pair.second_image_id}, {100 * truth.visibility:.0f} % visible"
-    )
+    title = f"{name}\n{test.name}, {100 * truth.visibility:.0f} % seen"
     first, second = make_views(test, work, "mid")
     answers = {m: e.estimate(make_views(test, work, m), name) for m, e in estimators.items()}
-    example = Example(title, model, first, second, truth.T_cam_obj, answers)
-    return example, None if reference.depth_path is None else read_depth(reference)
+    return Example(title, model, first, second, truth.T_cam_obj, answers)
 
 
 def make_views(test: StudySet, work: Work, method: str) -> list[View]:

@@ -15,6 +15,9 @@ from .. import METHODS
 from . import published, report_tables
 from .figures import draw_charts
 
+FIGURES = ("gaps", "fusions", "poses")
+"""Names of the drawn figures, each followed by a number: the paper's 3, 5 and 6."""
+
 
 def write_report(folder: Path) -> Path:
     """Draws the charts and writes report.html into the folder of a study; returns its path.
@@ -27,9 +30,7 @@ def write_report(folder: Path) -> Path:
         raise InputError(f"{folder} holds no results.json; run compare without --report-only first")
     document = read_results(results)
     charts = draw_charts(document["records"], folder / "figures")
-    images = sorted(
-        (folder / "figures").glob("*.png"), key=lambda p: (int(p.stem.rsplit("_", 1)[-1]), p.stem)
-    )
+    images = [p for n in FIGURES for p in sorted((folder / "figures").glob(f"{n}_*.png"))]
     target = folder / "report.html"
     write_atomically(target, report_page(document, charts, images).encode())
     return target
@@ -40,7 +41,7 @@ def report_page(
 ) -> str:
     """Renders results.json as one self-contained page.
 
-    ``charts`` are SVG files by name, ``images`` the files ``example_N.png`` and ``insides_N.png``.
+    ``charts`` are SVG files by name, ``images`` the files of ``FIGURES``.
     """
     records = document["records"]
     environment = Environment(

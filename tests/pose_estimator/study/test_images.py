@@ -8,11 +8,18 @@ import torch
 from PIL import Image
 from scipy.spatial.transform import Rotation
 from two_view_pose.core.geometry import LINEMOD_K, View, make_transform, project, transform
+from two_view_pose.core.plotting import new_figure
 from two_view_pose.pose_estimator.bop.dataset import read_dataset, read_pairs, read_rgb
 from two_view_pose.pose_estimator.fusion.mid import MidFusionEstimator
-from two_view_pose.pose_estimator.study.activations import capture_forward, plot_activations
+from two_view_pose.pose_estimator.networks.volume import LevelOutput, voxel_centers
 from two_view_pose.pose_estimator.study.figures import draw_charts
-from two_view_pose.pose_estimator.study.images import CROP, Example, draw_example
+from two_view_pose.pose_estimator.study.images import (
+    CROP,
+    Example,
+    draw_gaps,
+    draw_poses_of_methods,
+)
+from two_view_pose.pose_estimator.study.insides import capture_forward, draw_slices, plot_insides
 from two_view_pose.pose_estimator.study.plan import NOISE
 from two_view_pose.pose_estimator.types import PoseEstimate
 
@@ -51,30 +58,57 @@ def test_crops_are_centered_on_the_object_in_both_views(example):
 
 
 @pytest.mark.slow
-def test_an_example_is_drawn_for_every_method(example, tmp_path):
-    path = draw_example(example, tmp_path / "figures" / "example_1.png")
+def test_the_poses_of_every_method_are_drawn(example, tmp_path):
+    path = draw_poses_of_methods([example, example], tmp_path / "figures" / "poses_1.png")
     image = np.asarray(Image.open(path).convert("RGB")).astype(int)
-    assert image.shape[1] > 3 * 200 and image.shape[0] > 600
+    assert image.shape[1] > 2 * 150 and image.shape[0] > 4 * 150
     orange = (abs(image - (255, 122, 26)).sum(2) < 30).sum()
     green = (abs(image - (57, 190, 88)).sum(2) < 30).sum()
-    assert orange > 100 and green > 100
+    assert orange > 50 and green > 100
+
+
+def test_second_views_by_gap_are_drawn(example, tmp_path):
+    path = draw_gaps(example.reference, {1: example.second, 5: example.second}, tmp_path / "g.png")
+    assert Image.open(path).width > 600
+
+
+@pytest.mark.slow
+def test_the_insides_of_the_fusions_are_drawn(example, networks, tmp_path):
+    estimator = MidFusionEstimator(networks)
+    with capture_forward(networks.volume) as calls:
+        path = plot_insides(example, {"mid": estimator}, tmp_path / "fusions_1.png")
+    assert path is not None and Image.open(path).width > 1000
+    assert calls
+    alone = Example(**{**vars(example), "answers": {}})
+    assert plot_insides(alone, {}, tmp_path / "b.png") is None
 
 
 def test_keypoints_behind_the_camera_are_drawn(example, tmp_path):
     answer = example.answers["mid"]
     behind = PoseEstimate(answer.T_cam_obj, answer.keypoints - 5.0, answer.keypoint_covariance)
     odd = Example(**{**vars(example), "answers": {"mid": behind}})
-    assert draw_example(odd, tmp_path / "a.png").is_file()
+    assert plot_insides(odd, {}, tmp_path / "a.png").is_file()
 
 
-@pytest.mark.slow
-def test_activations_of_mid_fusion(example, networks, tmp_path):
-    estimator = MidFusionEstimator(networks)
-    with capture_forward(networks.volume) as calls:
-        path = plot_activations(example, {"mid": estimator}, None, tmp_path / "insides_1.png")
-    assert path is not None and Image.open(path).width > 1000
-    assert calls
-    assert plot_activations(example, {"late": estimator}, None, tmp_path / "b.png") is None
+def test_slices_show_the_keypoints_where_they_are():
+    cells = voxel_centers(torch.tensor([[0.0, 0.0, 1.0]]), torch.tensor([0.08]), 16)
+    logits = torch.full((1, 9, 16**3), -20.0)
+    numbers = torch.arange(9) * 400 + 37
+    logits[0, torch.arange(9), numbers] = 0.0
+    level = LevelOutput(logits, cells, torch.tensor([0.01]), cells[:, numbers], torch.zeros(1))
+    figure = new_figure(8, 2)
+    axes = figure.subplots(1, 4)
+    truth = cells[0, numbers].numpy()
+    draw_slices(axes, level, truth)
+    rings = [line.get_xydata() for axis in axes for line in axis.lines]
+    assert sum(len(points) for points in rings) == 9
+    for axis, points in zip(axes, rings, strict=True):
+        [image] = axis.images
+        left, right, bottom, top = image.get_extent()
+        for x, y in points:
+            column = int((x - left) / (right - left) * 16)
+            row = int((y - top) / (bottom - top) * 16)
+            assert 0 <= column < 16 and 0 <= row < 16
 
 
 def test_inputs_and_outputs_of_a_module_are_captured():
