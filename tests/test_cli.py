@@ -29,7 +29,7 @@ OPTIONS = {
     "train-agent": "algo bank pretrained-extractor visibility-bank record steps out env scene "
     "seed device json",
     "evaluate-agent": "policy scene episodes seed seeds bank figures device json",
-    "compare": "out quick methods weights noisy-weights data device threads report-only",
+    "compare": "out quick methods weights compare-weights data device threads report-only",
     "doctor": "quick json",
 }
 
