@@ -198,3 +198,20 @@ def test_fast_preset_scales_with_the_diameter():
         small, large = level.shape(torch.tensor([0.1])), level.shape(torch.tensor([0.2]))
         assert small[0] == large[0] <= 16
         assert float(large[1]) == pytest.approx(2 * float(small[1]))
+
+
+def test_the_preset_paper_has_the_papers_settings():
+    """What ``fast`` has otherwise is listed in docs/deviations.md."""
+    paper, fast = PRESETS["paper"], PRESETS["fast"]
+    diameter = torch.tensor([0.2])
+    count, half = paper.coarse.shape(diameter)
+    assert count == 60 and float(half) == pytest.approx(0.3)
+    count, half = paper.fine.shape(diameter)
+    assert 2 * float(half) / count == pytest.approx(0.005) and float(half) >= 0.5 * 0.2
+    assert paper.coarse_pose and paper.predicted_first and paper.solver == "soft-mean"
+    assert not paper.evidence
+    # Nothing but features of both views enters the 3D network, of 32 hidden channels.
+    net = VolumeNet(32, paper)
+    assert net.coarse.trunk[0].in_channels == 64 and net.coarse.trunk[0].out_channels == 32
+    names = ("coarse", "fine", "evidence", "coarse_pose", "predicted_first", "solver")
+    assert all(getattr(paper, name) != getattr(fast, name) for name in names)
