@@ -17,7 +17,7 @@ ALONE = SceneConfig(clutter_objects=(0, 0), plain_shapes=(0, 0))
 
 
 def render_duck(queue: multiprocessing.Queue) -> None:
-    """Puts a image of a duck alone on the table into the queue."""
+    """Puts an image of a duck alone on the table into the queue."""
     scene = Scene(assets.load_objects(["duck"]), ALONE, Randomization.none())
     with SceneRenderer(scene, 48, 64) as renderer:
         state = scene.reset(np.random.default_rng(0), "duck")

@@ -105,7 +105,7 @@ def test_a_resumed_run_and_several_workers_give_the_same_bytes(config, images, t
     for scene_id in (1, 2):
         shutil.rmtree(split / f"{scene_id:06d}")
     (split / ".000001.partial").mkdir()  # a killed run leaves such a folder
-    (split / ".000001.partial" / "rubbish").write_text("half a image")
+    (split / ".000001.partial" / "rubbish").write_text("half an image")
     kept = split / "000000" / "scene_gt.json"
     time_kept = kept.stat().st_mtime_ns
     generate(replace(config, out=out, workers=2))

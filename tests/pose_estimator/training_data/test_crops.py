@@ -15,7 +15,7 @@ from two_view_pose.pose_estimator.training_data.crops import STORED_SCALE, STORE
 
 
 def dot(position: tuple[float, float], sigma: float) -> np.ndarray:
-    """A image (480, 640, 3) of a bright Gaussian dot."""
+    """An image (480, 640, 3) of a bright Gaussian dot."""
     columns, rows = np.meshgrid(np.arange(640), np.arange(480))
     distance = (columns - position[0]) ** 2 + (rows - position[1]) ** 2
     gray = np.round(255 * np.exp(-distance / (2 * sigma**2))).astype(np.uint8)
