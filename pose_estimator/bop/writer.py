@@ -203,7 +203,9 @@ def _pose_entry(annotation: BopAnnotation, name: str) -> dict[str, Any]:
 
 
 def _info_entries(frame: BopFrame) -> list[dict[str, Any]]:
-    valid = frame.px_counts_valid or [a.px_count_all for a in frame.annotations]
+    valid = frame.px_counts_valid
+    if valid is None:
+        valid = [annotation.px_count_all for annotation in frame.annotations]
     return [
         {
             "bbox_obj": [*map(int, annotation.bbox_obj)],

@@ -61,20 +61,6 @@ def sample_points(
     Returns:
         The points, always finite.
     """
-    # In bfloat16, whose steps at a meter are 8 mm, points would move.
-    with torch.autocast(depth.device.type, enabled=False):
-        return _sample(depth, mask, K, diameter, count, generator)
-
-
-def _sample(
-    depth: Tensor,
-    mask: Tensor,
-    K: Tensor,
-    diameter: Tensor,
-    count: int,
-    generator: torch.Generator | Sequence[torch.Generator],
-) -> PointCloud:
-    """As :func:`sample_points`, without autocast."""
     batch, side = depth.shape[:2]
     inside = F.interpolate(mask[:, None], size=(side, side), mode="bilinear")
     usable = (depth > 0) & (inside[:, 0] > _MIN_MASK)
@@ -88,16 +74,19 @@ def _sample(
     z = torch.where(valid, depth.flatten(1).gather(1, index), 1.0)
     pixels = torch.stack([index % side, index // side, torch.ones_like(index)], -1).to(depth.dtype)
 
-    R_crop_cam = crop_frame(K, side)
-    rays = pixels @ torch.linalg.inv(K).mT
-    xyz = (rays * z[..., None]) @ R_crop_cam.mT
+    to_grid = torch.from_numpy(grid_matrix(side // mask.shape[-1])).to(depth)
+    # In bfloat16, whose steps at a meter are 8 mm, points would move.
+    with torch.autocast(depth.device.type, enabled=False):
+        R_crop_cam = crop_frame(K, side)
+        rays = pixels @ torch.linalg.inv(K).mT
+        xyz = (rays * z[..., None]) @ R_crop_cam.mT
+        grid_pixels = (pixels @ to_grid.mT)[..., :2]
     center = _median(xyz, valid)
     valid = valid & ((xyz - center[:, None]).norm(dim=-1) < _MAX_DISTANCE * diameter[:, None])
     center = _median(xyz, valid)
-    to_grid = torch.from_numpy(grid_matrix(side // mask.shape[-1])).to(depth)
     return PointCloud(
         xyz=torch.where(valid[..., None], xyz, center[:, None]),
-        pixels=(pixels @ to_grid.mT)[..., :2],
+        pixels=grid_pixels,
         valid=valid,
         center=center,
         R_crop_cam=R_crop_cam,

@@ -8,7 +8,7 @@ from two_view_pose.assets.collage import draw_collage, draw_markers
 
 @pytest.mark.parametrize("draw", [draw_collage, draw_markers])
 @pytest.mark.parametrize("size", [32, 192, 257])
-def test_a_seed_is_a_image(draw, size):
+def test_a_seed_gives_the_same_image(draw, size):
     first, again, other = (draw(np.random.default_rng(s), size) for s in (1, 1, 2))
     assert first.shape == (size, size, 3) and first.dtype == np.uint8
     assert np.array_equal(first, again) and not np.array_equal(first, other)
