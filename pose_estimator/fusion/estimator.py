@@ -23,6 +23,7 @@ from ..symmetry import keypoint_permutations
 from ..types import PoseEstimate, Roi, roi_of_pose, upright_roll
 from .frontend import EncodedView, Frontend, Target, merge_votes
 from .joint_pnp import consistent_views, fit_joint_pose, refined_by_votes
+from .lru_cache import LruCache
 from .one_view import solve_one_view
 
 _ROLLS = (0.0, -0.2, 0.2)
@@ -72,6 +73,10 @@ class KeypointEstimator(ABC):
         refine: ``votes`` to fit the pose to the votes of all views and the method's keypoints
             together, or ``none``.
 
+    Attributes:
+        encodings: both passes of the last requests, where several methods with the same networks
+            get the same views one after the other; None: every request is encoded.
+
     Raises:
         InputError: if solver or refinement is unknown.
     """
@@ -93,6 +98,7 @@ class KeypointEstimator(ABC):
         self.refinement = check_refinement(refine)
         self.inference = Inference(networks, threads)
         self.frontend = Frontend(networks, self.inference)
+        self.encodings: LruCache[tuple[Sighting, Sighting]] | None = None
 
     @property
     def batch_size(self) -> int:
@@ -130,11 +136,8 @@ class KeypointEstimator(ABC):
 
         Results are those of :meth:`estimate`: bit-equal on a CPU, up to rounding on a GPU.
         """
-        targets = self.targets(requests, rois)
-        if self.reference_only:
-            targets = [own[:1] for own in targets]
-        seen = self.encode_views(targets, [name for _, name in requests])
-        again = self.encode_again(seen)
+        encoded = self.encode(requests, rois)
+        seen, again = [first for first, _ in encoded], [second for _, second in encoded]
         answers = [solve_one_view(s.encoded[0], s.model, self.roi_scale) for s in again]
         usable = [n for n, s in enumerate(again) if self.reference_only or len(s.encoded) > 1]
         fused = self.fuse([again[n] for n in usable])
@@ -168,6 +171,33 @@ class KeypointEstimator(ABC):
             keypoints=keypoints,
             keypoint_covariance=covariance,
         )
+
+    def encode(
+        self, requests: Sequence[Request], rois: Sequence[Sequence[Roi]] | None
+    ) -> list[tuple[Sighting, Sighting]]:
+        """Returns both passes of each request; see :meth:`estimate`."""
+        if self.encodings is None or rois is not None:
+            return self._encode_twice(requests, rois)
+        keys = [(name, self.reference_only, *map(id, views)) for views, name in requests]
+        found = [
+            self.encodings.get(views[0], key)
+            for (views, _), key in zip(requests, keys, strict=True)
+        ]
+        missing = [number for number, known in enumerate(found) if known is None]
+        new = self._encode_twice([requests[number] for number in missing], None)
+        for number, encoded in zip(missing, new, strict=True):
+            self.encodings.put(requests[number][0][0], keys[number], encoded)
+            found[number] = encoded
+        return [encoded for encoded in found if encoded is not None]
+
+    def _encode_twice(
+        self, requests: Sequence[Request], rois: Sequence[Sequence[Roi]] | None
+    ) -> list[tuple[Sighting, Sighting]]:
+        targets = self.targets(requests, rois)
+        if self.reference_only:
+            targets = [own[:1] for own in targets]
+        seen = self.encode_views(targets, [name for _, name in requests])
+        return list(zip(seen, self.encode_again(seen), strict=True))
 
     @property
     def roi_scale(self) -> float:

@@ -34,7 +34,6 @@ class PairOutcome:
     camera_baseline: float
     visibility: float
     baseline: float
-    seconds: float
     solver_errors: Mapping[str, float] = field(default_factory=dict)
 
     @property

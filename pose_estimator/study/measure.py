@@ -1,4 +1,4 @@
-"""Measures a run of the comparative study: one method on pairs of views, against the truth.
+"""Measures runs of the comparative study: methods on pairs of views, against the truth.
 
 The truth is used only after a method has answered. Outcomes are logged pair by pair, so that the
 same command resumes a run that was stopped.
@@ -7,11 +7,11 @@ same command resumes a run that was stopped.
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -36,7 +36,7 @@ from ..types import PoseEstimate
 from .log import OutcomeLog, PairOutcome
 from .plan import Run, choose_pairs, perturbed_pose
 
-OUTCOME_FORMAT = 2
+OUTCOME_FORMAT = 3
 """Part of the key of logged outcomes. Raise it with every change of this module, of ``plan.py`` or
 of an estimator after which a pair would be measured differently."""
 
@@ -61,37 +61,51 @@ class StudySet:
         return cls(name, read_dataset(root, split), pairs, description)
 
 
-def measure_run(
-    run: Run,
-    estimator: Estimator,
+class Measurement(NamedTuple):
+    """A run, the estimator that it measures, and the log of its outcomes."""
+
+    run: Run
+    estimator: Estimator
+    log: OutcomeLog
+
+
+def measure_runs(
+    measurements: Sequence[Measurement],
     test: StudySet,
     objects: Mapping[str, ObjectModel],
-    log: OutcomeLog,
     *,
     seed: int = 0,
     progress: bool = True,
-) -> list[PairOutcome]:
-    """Measures the pairs of a run that are not logged yet; returns all its outcomes.
+) -> None:
+    """Measures the pairs of runs that are not logged yet.
 
-    Each batch of outcomes is added to the log. ``seed`` is of the errors of the relative pose.
+    Each batch of pairs goes to all methods, as the same views, before the next one; its outcomes
+    are added to the logs.
+
+    Args:
+        measurements: runs on the same pairs with the same errors of the relative pose.
+        test: the pairs, with the truth.
+        objects: by name.
+        seed: of the errors of the relative pose.
+        progress: whether to show a progress bar.
 
     Raises:
-        InputError: if the test has no pair of the run, or lacks what the method needs.
+        InputError: if the test has no pair of the runs, or lacks what a method needs.
     """
+    run = measurements[0].run
+    names = "+".join(m.run.method for m in measurements)
     work = choose_pairs(run, test.pairs, objects)
     if not work:
-        raise InputError(f"the {run.test} test has no pair for {run.method}, gaps {run.gaps}")
-    done = {outcome.key for outcome in log.outcomes}
-    left = [
-        (p, name)
-        for p, name in work
-        if (p.scene_id, p.ref_image_id, p.second_image_id, name) not in done
-    ]
-    answers = _Answers(estimator, run, seed)
+        raise InputError(f"the {run.test} test has no pair for {names}, gaps {run.gaps}")
+    done = [{outcome.key for outcome in m.log.outcomes} for m in measurements]
+    left = [(p, name) for p, name in work if not all(_key(p, name) in known for known in done)]
+    views = _ViewReader(run, seed)
+    answers = [_Answers(m.estimator, m.run.method, views) for m in measurements]
     scenes = lru_cache(maxsize=2)(test.dataset.scene)
-    size = batch_size(estimator)
+    size = max(batch_size(m.estimator) for m in measurements)
     counts = {"total": len(work), "initial": len(work) - len(left)}
-    with tqdm(**counts, desc=run.name, unit="pair", disable=not progress) as bar:
+    title = run.name.replace(run.method, names)
+    with tqdm(**counts, desc=title, unit="pair", disable=not progress) as bar:
         for start in range(0, len(left), size):
             batch = left[start : start + size]
             found = [
@@ -99,16 +113,21 @@ def measure_run(
                 for pair, name in batch
             ]
             cases = [case for case in found if case is not None]
-            log.add(
-                _outcome(case, *answer, objects[case.name], run)
-                for case, answer in zip(cases, answers.get(cases), strict=True)
-            )
+            for measurement, known, answer in zip(measurements, done, answers, strict=True):
+                new = [case for case in cases if _key(case.pair, case.name) not in known]
+                measurement.log.add(
+                    _outcome(case, estimate, objects[case.name], measurement.run.method)
+                    for case, estimate in zip(new, answer.get(new), strict=True)
+                )
             bar.update(len(batch))
-    return log.outcomes
+
+
+def _key(pair: BopPair, name: str) -> tuple[int, int, int, str]:
+    return pair.scene_id, pair.ref_image_id, pair.second_image_id, name
 
 
 def _outcome(
-    case: AnnotatedPair, estimate: PoseEstimate, seconds: float, model: ObjectModel, run: Run
+    case: AnnotatedPair, estimate: PoseEstimate, model: ObjectModel, method: str
 ) -> PairOutcome:
     pair, truth = case.pair, case.truths[0]
     assert pair.gap is not None
@@ -121,8 +140,7 @@ def _outcome(
         camera_baseline=float(np.linalg.norm(pair.T_second_ref[:3, 3])),
         visibility=truth.visibility,
         baseline=baseline_at(pair, truth.obj_id),
-        seconds=seconds,
-        **compare_with_truth(estimate, truth.T_cam_obj, model, solvers=run.method != "single"),
+        **compare_with_truth(estimate, truth.T_cam_obj, model, solvers=method != "single"),
     )
 
 
@@ -145,38 +163,51 @@ def compare_with_truth(
     }
 
 
-class _Answers:
-    """Runs a method, and caches its last single-view estimates: a reference has several partners.
+class _ViewReader:
+    """Reads the views of pairs, with the run's error of the relative pose; keeps the last ones.
 
-    Views are new objects for each call, so that estimators that cache views compute each time.
+    Methods that are given the same views share the objects, and so may share what is cached.
     """
 
-    def __init__(self, estimator: Estimator, run: Run, seed: int):
-        self._estimator = estimator
+    def __init__(self, run: Run, seed: int):
         self._run = run
         self._seed = seed
-        self._views = METHOD_TABLE[run.method].views
-        self._last: dict[tuple, tuple[PoseEstimate, float]] = {}
         self._read = lru_cache(maxsize=16)(read_rgb)
+        self._last: dict[tuple, list[View]] = {}
 
-    def get(self, cases: Sequence[AnnotatedPair]) -> list[tuple[PoseEstimate, float]]:
-        """Returns the estimate of each case, and the seconds that it took."""
+    def read(self, cases: Sequence[AnnotatedPair], count: int, depth: bool) -> list[list[View]]:
+        """Returns the first ``count`` views of each case."""
+        keys = [(*_key(case.pair, ""), count, depth) for case in cases]
+        known = self._last
+        for key, case in zip(keys, cases, strict=True):
+            if key not in known:
+                T = perturbed_pose(self._run, case.pair, self._seed)
+                known[key] = read_views(case.images[:count], T, depth=depth, read=self._read)
+        scenes = {key[:3] for key in keys}
+        self._last = {key: views for key, views in known.items() if key[:3] in scenes}
+        return [self._last[key] for key in keys]
+
+
+class _Answers:
+    """Runs a method, and caches its last single-view estimates: a reference has several partners"""
+
+    def __init__(self, estimator: Estimator, method: str, views: _ViewReader):
+        self._estimator = estimator
+        self._views = views
+        self._method = METHOD_TABLE[method]
+        self._last: dict[tuple, PoseEstimate] = {}
+
+    def get(self, cases: Sequence[AnnotatedPair]) -> list[PoseEstimate]:
+        """Returns the estimate of each case."""
         keys = [self._key(case) for case in cases]
         known = {key: self._last[key] for key in keys if key in self._last}
         new = {key: case for key, case in zip(keys, cases, strict=True) if key not in known}
-        requests = [(self._read_views(case), case.name) for case in new.values()]
-        start = time.perf_counter()
-        estimates = estimate_all(self._estimator, requests)
-        seconds = (time.perf_counter() - start) / max(1, len(requests))
-        known |= {key: (pose, seconds) for key, pose in zip(new, estimates, strict=True)}
+        views = self._views.read(list(new.values()), self._method.views, self._method.needs_depth)
+        requests = [(own, case.name) for own, case in zip(views, new.values(), strict=True)]
+        known |= zip(new, estimate_all(self._estimator, requests), strict=True)
         self._last = known
         return [known[key] for key in keys]
 
     def _key(self, case: AnnotatedPair) -> tuple:
         images = (case.pair.ref_image_id, case.pair.second_image_id)
-        return (case.pair.scene_id, case.name, *images[: self._views])
-
-    def _read_views(self, case: AnnotatedPair) -> list[View]:
-        T_second_ref = perturbed_pose(self._run, case.pair, self._seed)
-        images, depth = case.images[: self._views], METHOD_TABLE[self._run.method].needs_depth
-        return read_views(images, T_second_ref, depth=depth, read=self._read)
+        return (case.pair.scene_id, case.name, *images[: self._method.views])

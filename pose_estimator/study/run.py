@@ -2,23 +2,25 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 
 from ...core.device import resolve_device
 from ...core.errors import InputError
 from ...core.results import commit
 from ..bop.pairs import PAIRS_FILE
+from ..fusion.batching import batch_size
 from ..fusion.estimator import KeypointEstimator
 from ..fusion.loading import load
+from ..fusion.lru_cache import LruCache
 from ..methods import METHOD_TABLE, PARTS
 from ..networks.container import PoseNetworks
 from ..networks.weights import load_networks
 from .config import CompareConfig
 from .cost import measure_cost
 from .gallery import draw_gallery, timed_pairs
-from .log import OutcomeLog, PairOutcome
-from .measure import OUTCOME_FORMAT, StudySet, measure_run
+from .log import OutcomeLog
+from .measure import OUTCOME_FORMAT, Measurement, StudySet, measure_runs
 from .plan import DEFAULT_WEIGHTS, Run, plan
 from .tables import Record, tables
 
@@ -52,11 +54,15 @@ class Study:
             for run in plan(config.methods, trainings, **limits, per_gap=config.per_gap)
             if (run.method, run.training) in estimators
         }
-        outcomes = {
-            run: self.measure(run, estimators[run.method, run.training], log)
-            for run, log in logs.items()
-        }
-        self.records += tables(outcomes)
+        measurements = [
+            Measurement(run, estimators[run.method, run.training], log) for run, log in logs.items()
+        ]
+        for group in groups_with_same_views(measurements):
+            run = group[0].run
+            objects = estimators[run.method, run.training].networks.objects
+            measure_runs(group, self.tests[run.test], objects, seed=config.seed)
+        self.records += [record_of_run(m) for m in measurements]
+        self.records += tables({m.run: m.log.outcomes for m in measurements})
         objects = next(iter(baseline.values())).networks.objects
         tests = list(self.tests.values())
         draw = {"count": config.images, "seed": config.seed}
@@ -84,6 +90,11 @@ class Study:
             print(f"{method} is not available: {reason}")
             tags = {"method": method, "training": training, "reason": reason}
             self.records.append({"metric": "missing", "value": 1, "unit": "", **tags})
+        for training in {training for _, training in loaded}:
+            same = [estimator for (_, own), estimator in loaded.items() if own == training]
+            encodings: LruCache = LruCache(2 * max(map(batch_size, same)))
+            for estimator in same:
+                estimator.encodings = encodings
         return loaded
 
     def open_log(self, run: Run, networks: PoseNetworks) -> OutcomeLog:
@@ -102,18 +113,26 @@ class Study:
         }
         return OutcomeLog(self.config.out / "outcomes" / f"{run.name}.jsonl", key, commit())
 
-    def measure(self, run: Run, estimator: KeypointEstimator, log: OutcomeLog) -> list[PairOutcome]:
-        """Measures a run, or resumes it, and adds a record of how it was made."""
-        test, objects = self.tests[run.test], estimator.networks.objects
-        outcomes = measure_run(run, estimator, test, objects, log, seed=self.config.seed)
-        record = {
-            "metric": "run", "value": len(outcomes), "unit": "pairs", "scene": run.test,
-            "method": run.method, "training": run.training,
-            "rotation_deg": run.rotation, "translation": run.translation,
-            "networks": log.key["networks"], "commits": " ".join(log.commits),
-        }  # fmt: skip
-        self.records.append(record)
-        return outcomes
+
+def groups_with_same_views(measurements: Sequence[Measurement]) -> list[list[Measurement]]:
+    """Groups the measurements whose methods are given the same views."""
+    groups: dict[Run, list[Measurement]] = {}
+    for measurement in measurements:
+        run = measurement.run
+        key = replace(run, method="") if METHOD_TABLE[run.method].views > 1 else run
+        groups.setdefault(key, []).append(measurement)
+    return list(groups.values())
+
+
+def record_of_run(measurement: Measurement) -> Record:
+    """Returns the record of how a run was made."""
+    run, _, log = measurement
+    return {
+        "metric": "run", "value": len(log.outcomes), "unit": "pairs", "scene": run.test,
+        "method": run.method, "training": run.training,
+        "rotation_deg": run.rotation, "translation": run.translation,
+        "networks": log.key["networks"], "commits": " ".join(log.commits),
+    }  # fmt: skip
 
 
 def networks_digest(networks: PoseNetworks, method: str) -> str:

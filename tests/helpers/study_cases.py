@@ -101,6 +101,5 @@ def outcome(
         camera_baseline=camera,
         visibility=visibility,
         baseline=2.0 * gap,
-        seconds=0.1,
         solver_errors=solvers or {},
     )

@@ -23,6 +23,7 @@ from two_view_pose.pose_estimator.fusion.joint_pnp import (
     refined_by_votes,
 )
 from two_view_pose.pose_estimator.fusion.late import LateFusionEstimator
+from two_view_pose.pose_estimator.fusion.lru_cache import LruCache
 from two_view_pose.pose_estimator.fusion.mid import MidFusionEstimator
 from two_view_pose.pose_estimator.fusion.one_view import solve_one_view
 from two_view_pose.pose_estimator.fusion.pnp import JointPnpEstimator
@@ -55,6 +56,23 @@ def test_two_passes_over_every_view(networks, method):
         assert np.abs(roi.center - true_roi(networks, degrees).center).max() < 30
     # The answer says where the object was found at first.
     assert np.abs(found.rois[0].center - again[0].center).max() > 0.5
+
+
+def test_methods_may_share_what_they_encode(networks):
+    """Same answers, and each pair of views is encoded once."""
+    requests = [([view(20), view(70)], "brick"), ([view(30), view(60)], "crate")]
+    frontend, encodings = PerfectVotes(networks), LruCache(4)
+    for method in FUSIONS:
+        alone, sharing = method(networks), method(networks)
+        alone.frontend, sharing.frontend, sharing.encodings = (
+            PerfectVotes(networks), frontend, encodings
+        )  # fmt: skip
+        expected, found = alone.estimate_batch(requests), sharing.estimate_batch(requests)
+        for a, b in zip(expected, found, strict=True):
+            assert np.array_equal(a.T_cam_obj, b.T_cam_obj)
+        assert frontend.calls == alone.frontend.calls
+    with_region = sharing.estimate(*requests[0], [true_roi(networks, d) for d in (20, 70)])
+    assert frontend.calls > alone.frontend.calls and with_region.rois is not None
 
 
 @pytest.mark.parametrize("method", [SingleViewEstimator, *FUSIONS])

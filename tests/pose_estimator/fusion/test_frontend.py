@@ -3,6 +3,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import torch
 from two_view_pose.core.geometry import LINEMOD_K, View, rotation_matrix_2d
 from two_view_pose.pose_estimator.fusion.frontend import EncodedView, Frontend, Target, merge_votes
 from two_view_pose.pose_estimator.networks.container import NetworkConfig, PoseNetworks
@@ -16,6 +17,7 @@ SAME = np.arange(9)[None]
 
 @pytest.fixture(scope="module")
 def frontend(boxes) -> Frontend:
+    torch.manual_seed(0)
     networks = PoseNetworks(boxes, NetworkConfig(features=FeatureConfig())).eval()
     return Frontend(networks, Inference(networks, threads=1))
 

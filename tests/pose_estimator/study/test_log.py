@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from two_view_pose.pose_estimator.study.log import OutcomeLog, PairOutcome
 
-FIRST = PairOutcome(3, 0, 5, "cat", 5, 0.02, (0.001, 0.003), 0.8, 0.9, 4.5, 0.1, {"soft": 0.02})
+FIRST = PairOutcome(3, 0, 5, "cat", 5, 0.02, (0.001, 0.003), 0.8, 0.9, 4.5, {"soft": 0.02})
 SECOND = replace(FIRST, ref_image_id=1, error=0.3)
 KEY = {"unit": {"gaps": (1, 5)}, "seed": 0}
 

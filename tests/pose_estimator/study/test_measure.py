@@ -12,7 +12,12 @@ from two_view_pose.pose_estimator.bop.dataset import read_dataset, read_pairs
 from two_view_pose.pose_estimator.methods import SOLVERS
 from two_view_pose.pose_estimator.solvers.rigid import solve_pose
 from two_view_pose.pose_estimator.study.log import OutcomeLog
-from two_view_pose.pose_estimator.study.measure import StudySet, compare_with_truth, measure_run
+from two_view_pose.pose_estimator.study.measure import (
+    Measurement,
+    StudySet,
+    compare_with_truth,
+    measure_runs,
+)
 from two_view_pose.pose_estimator.study.plan import Run
 from two_view_pose.pose_estimator.types import PoseEstimate
 
@@ -28,7 +33,8 @@ def study_set(dataset: Path) -> StudySet:
 
 def measure(run, oracle, study_set, boxes, path, **options):
     log = OutcomeLog(path, {})
-    return measure_run(run, oracle, study_set, boxes, log, progress=False, **options)
+    measure_runs([Measurement(run, oracle, log)], study_set, boxes, progress=False, **options)
+    return log.outcomes
 
 
 def test_ground_truth_has_no_error(study_set, boxes, tmp_path):
@@ -69,7 +75,25 @@ def test_an_interrupted_run_resumes(study_set, boxes, tmp_path):
     outcomes = measure(MID, second, study_set, boxes, tmp_path / "a")
     assert len(second.asked) == 2
     complete = measure(MID, Oracle(study_set.dataset, boxes), study_set, boxes, tmp_path / "b")
-    assert [replace(o, seconds=0) for o in outcomes] == [replace(o, seconds=0) for o in complete]
+    assert outcomes == complete
+
+
+def test_methods_of_a_group_are_given_the_same_views(study_set, boxes, tmp_path):
+    """Of what is logged already, nothing is measured again."""
+    late = replace(MID, method="late")
+    measure(late, Oracle(study_set.dataset, boxes), study_set, boxes, tmp_path / "late")
+    oracles = [Oracle(study_set.dataset, boxes) for _ in range(3)]
+    runs = [MID, replace(MID, method="pnp"), late]
+    group = [
+        Measurement(run, oracle, OutcomeLog(tmp_path / run.method, {}))
+        for run, oracle in zip(runs, oracles, strict=True)
+    ]
+    measure_runs(group, study_set, boxes, progress=False)
+    mid, pnp, again = ([views for views, _ in oracle.requests] for oracle in oracles)
+    assert len(mid) == len(pnp) == 6 and again == []
+    for first, second in zip(mid, pnp, strict=True):
+        assert all(a is b for a, b in zip(first, second, strict=True))
+    assert group[0].log.outcomes == group[1].log.outcomes == group[2].log.outcomes
 
 
 def test_single_view_methods_run_once_per_reference(study_set, boxes, tmp_path):
