@@ -30,8 +30,8 @@ class EvaluateConfig:
     """Whether the pose is refined by the votes of both views; none = as the method does."""
     weights: str = "linemod"
     """Name of shipped weights, or a .safetensors file."""
-    preset: Literal["fast", "paper"] | None = None
-    """Preset of the volumes, `fast` or `paper`, that the weights must have been trained for."""
+    preset: Literal["fast", "features", "paper"] | None = None
+    """Preset of the volumes that the weights must have been trained for."""
     solver: Literal["soft", "soft-mean", "kabsch", "hard"] | None = None
     """From 3D keypoints to the pose: `soft` (Soft RANSAC), `soft-mean` (with the paper's plain
     average), `kabsch` or `hard` (RANSAC); none = that of the preset."""

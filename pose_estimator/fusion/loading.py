@@ -30,7 +30,7 @@ def load(
         method: one of ``METHODS``: ``single``, ``early``, ``late``, ``mid``, ``pnp``, ``mid-pnp``
             or ``rgbd``.
         weights: name of shipped weights, or a path to a ``.safetensors`` file.
-        preset: of the volumes, ``fast`` or ``paper``, to require; None accepts either.
+        preset: of the volumes, ``fast``, ``features`` or ``paper``, to require; None accepts all.
         solver: from 3D keypoints to the pose, ``soft``, ``soft-mean``, ``kabsch`` or ``hard``;
             None: that of the preset.
         refine: ``votes`` to fit the pose to the votes of all views too, or ``none``; None: as the

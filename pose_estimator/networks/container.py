@@ -22,7 +22,7 @@ class NetworkConfig:
     Attributes:
         detector: of the detector.
         features: of the 2D features.
-        preset: of the volume, ``fast`` or ``paper``.
+        preset: of the volume, one of ``PRESETS``.
     """
 
     detector: DetectorConfig = DetectorConfig()

@@ -1,5 +1,6 @@
 """Weights files: tensors in safetensors, with a JSON header."""
 
+import hashlib
 import json
 from dataclasses import asdict
 from functools import lru_cache
@@ -34,7 +35,12 @@ SHIPPED = Path(assets.__file__).parent / "weights"
 
 
 def save_weights(
-    networks: PoseNetworks, path: str | Path, header: dict[str, Any], *, surfaces: bool = True
+    networks: PoseNetworks,
+    path: str | Path,
+    header: dict[str, Any],
+    *,
+    surfaces: bool = True,
+    base: str | None = None,
 ) -> None:
     """Writes weights (see :func:`pack`) and their header, ``.json`` in the same folder.
 
@@ -47,12 +53,24 @@ def save_weights(
         header: of the weights: training data, measured accuracy. The objects, shapes, trained
             parts, versions and the commit are added.
         surfaces: whether the meshes of these objects are stored too.
+        base: shipped weights that these were trained from; only what differs is written, and the
+            file can be read wherever they are shipped.
 
     Raises:
         InputError: if the networks hold NaN or infinite numbers.
+        FileNotFoundError: if no such weights are shipped.
     """
     path = Path(path)
     tensors = pack(exported_state_dict(networks), quantizable(networks))
+    if base is not None:
+        base = read_header(find_weights(base)).get("base", {}).get("name", base)
+        known = load_file(find_weights(base))
+        tensors = {
+            name: value
+            for name, value in tensors.items()
+            if name not in known or not torch.equal(value, known[name])
+        }
+        header = {**header, "base": {"name": base, "sha256": _sha256(find_weights(base))}}
     objects: dict[str, dict[str, Any]] = {}
     for name, model in networks.objects.items():
         objects[name] = {"obj_id": model.obj_id, "diameter": model.diameter}
@@ -170,7 +188,7 @@ def read_networks(path: str | Path) -> PoseNetworks:
             f"the header says that the parts {unknown} are trained; there are {', '.join(PARTS)}"
         )
     try:
-        tensors = unpack(load_file(path))
+        tensors = unpack(_read_base(header) | load_file(path))
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(f"weights file {path} is damaged: {error}") from error
     if not all(torch.isfinite(tensor).all() for tensor in tensors.values()):
@@ -184,6 +202,23 @@ def read_networks(path: str | Path) -> PoseNetworks:
         )
     networks.load_state_dict(tensors, strict=False)
     return networks.eval()
+
+
+def _read_base(header: dict[str, Any]) -> dict[str, Tensor]:
+    """Returns the packed tensors of the shipped weights that these build on; {} for none."""
+    if "base" not in header:
+        return {}
+    name, path = header["base"]["name"], SHIPPED / f"{header['base']['name']}.safetensors"
+    if not path.is_file() or _sha256(path) != header["base"]["sha256"]:
+        raise InputError(
+            f"these weights hold only what differs from the shipped weights {name!r} of another "
+            "version: use the version that made them, or train them again"
+        )
+    return load_file(path)
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def exported_state_dict(networks: PoseNetworks) -> dict[str, Tensor]:

@@ -35,6 +35,8 @@ class CompareConfig:
     """Folder of the two tests, made where missing; none = data/ in --out."""
     pairs: int = 0
     """Maximum number of pairs for each object and gap; 0 = all."""
+    compare_pairs: int = 0
+    """Maximum number of pairs for each object and gap with --compare-weights; 0 = all."""
     noise_pairs: int = 20
     """Pairs for each object under every error of the relative pose; 0 = all."""
     images: int = 2
@@ -61,7 +63,9 @@ class CompareConfig:
             raise InputError(
                 f"compare_weights must be NAME=FILE with distinct names, got {self.compare_weights}"
             )
-        require_within(self, 0, math.inf, "pairs", "noise_pairs", "images", "seed", "threads")
+        require_within(
+            self, 0, math.inf, "pairs", "compare_pairs", "noise_pairs", "images", "seed", "threads"
+        )
 
     @property
     def test_data(self) -> Path:
@@ -94,7 +98,7 @@ class CompareConfig:
             words.append("--quick")
         if set(self.methods) != set(METHODS):
             words += ["--methods", *self.methods]
-        for name in ("weights", "pairs", "noise_pairs", "seed"):
+        for name in ("weights", "pairs", "compare_pairs", "noise_pairs", "seed"):
             value = getattr(self, name)
             if value != getattr(type(self), name):
                 text = Path(value).name if name == "weights" else str(value)

@@ -129,12 +129,14 @@ def plan(
     *,
     per_object: int = 0,
     noise_per_object: int = 0,
+    other_per_object: int = 0,
     per_gap: int = 0,
 ) -> Iterator[Run]:
     """Yields every run of a study, those of the tables first.
 
-    ``trainings`` are names of weights. ``noise_per_object`` is ``per_object`` under errors of the
-    relative pose; with ``per_gap`` only the extreme errors are used.
+    ``trainings`` are names of weights. ``other_per_object`` is ``per_object`` of other weights than
+    the default ones, ``noise_per_object`` under errors of the relative pose; with ``per_gap`` only
+    the extreme errors are used.
     """
     for test in TESTS:
         for method in methods:
@@ -143,7 +145,7 @@ def plan(
         for training in trainings:
             if training != DEFAULT_WEIGHTS:
                 for test in TESTS:
-                    yield Run("training", test, "mid", training, GAPS, per_object, per_gap)
+                    yield Run("training", test, "mid", training, GAPS, other_per_object, per_gap)
     # `late` has no second training: triangulation learns nothing from an inexact pose.
     noisy = [("mid", DEFAULT_WEIGHTS), ("mid", NOISY), ("late", DEFAULT_WEIGHTS)]
     extremes = [(r, t) for r, t in NOISE if {r, t} <= {0.0, ROTATIONS[-1], TRANSLATIONS[-1]}]

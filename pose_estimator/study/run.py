@@ -47,7 +47,11 @@ class Study:
         if not baseline:
             raise InputError(f"none of {', '.join(config.methods)} can be run")
         trainings = [DEFAULT_WEIGHTS, *config.other_weights]
-        limits = {"per_object": config.pairs, "noise_per_object": config.noise_pairs}
+        limits = {
+            "per_object": config.pairs,
+            "noise_per_object": config.noise_pairs,
+            "other_per_object": config.compare_pairs,
+        }
         # Opens all logs first: one that does not match is an error before hours of measuring.
         logs = {
             run: self.open_log(run, estimators[run.method, run.training].networks)

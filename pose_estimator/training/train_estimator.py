@@ -76,7 +76,8 @@ def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) 
         return path
     networks.cpu()
     fields = header(config, networks, done, log.held_out)
-    save_weights(networks, path, fields, surfaces=config.store_meshes)
+    base = config.init if config.changes_only else None
+    save_weights(networks, path, fields, surfaces=config.store_meshes, base=base)
     if config.json is not None:
         log.write_results(config)
     print(f"weights: {path}")

@@ -37,14 +37,14 @@ class Transfer:
         new: the other objects of the networks.
         parts: the parts that were loaded, completely or without the rows of new objects.
         incomplete: those of ``parts`` that lack rows of new objects.
-        skipped: trained parts of the source that are incompatible.
+        adapted: the volume, if it is of another preset: a start for its training.
     """
 
     known: tuple[str, ...]
     new: tuple[str, ...]
     parts: tuple[str, ...]
     incomplete: tuple[str, ...]
-    skipped: tuple[str, ...]
+    adapted: tuple[str, ...]
 
     def __str__(self) -> str:
         lines = [f"loaded: {', '.join(self.parts) or 'nothing'}"]
@@ -53,15 +53,16 @@ class Transfer:
                 f"new: {', '.join(self.new)} in {', '.join(self.incomplete)}; "
                 f"known before: {', '.join(self.known) or 'none of the objects'}"
             )
-        if self.skipped:
-            lines.append(f"does not fit and starts untrained: {', '.join(self.skipped)}")
+        if self.adapted:
+            lines.append(f"of another preset, to be trained: {', '.join(self.adapted)}")
         return "\n".join(lines)
 
 
 def transfer_weights(source: PoseNetworks, networks: PoseNetworks) -> Transfer:
     """Copies the compatible weights of ``source`` into ``networks`` and sets their ``trained``.
 
-    A volume is loaded only if it has the same preset. A part that lacks rows of new objects does
+    The layers of a volume of another preset are copied as far as they see the same input, as voxels
+    of all presets are about as large. Such a volume, and a part that lacks rows of new objects, do
     not count as trained.
 
     Raises:
@@ -80,8 +81,10 @@ def transfer_weights(source: PoseNetworks, networks: PoseNetworks) -> Transfer:
     new = tuple(name for name in networks.objects if name not in known)
     rows = {networks.index[name]: source.index[name] for name in known}
     other_volume = source.config.preset != networks.config.preset
-    skipped = tuple(p for p in PARTS if p in source.trained and p == "volume" and other_volume)
-    parts = tuple(p for p in PARTS if p in source.trained and p not in skipped)
+    adapted = tuple(p for p in PARTS if p in source.trained and p == "volume" and other_volume)
+    parts = tuple(p for p in PARTS if p in source.trained and p not in adapted)
+    if adapted:
+        _adapt_volume(source, networks)
     theirs, incomplete = source.state_dict(), set()
     for name, value in networks.state_dict().items():
         part = name.split(".")[0]
@@ -107,7 +110,19 @@ def transfer_weights(source: PoseNetworks, networks: PoseNetworks) -> Transfer:
             for mine, other in rows.items():
                 value[axes[mine]] = theirs[name][their_axes[other]]
     networks.trained = frozenset(parts) - incomplete
-    return Transfer(known, new, parts, tuple(p for p in parts if p in incomplete), skipped)
+    return Transfer(known, new, parts, tuple(p for p in parts if p in incomplete), adapted)
+
+
+def _adapt_volume(source: PoseNetworks, networks: PoseNetworks) -> None:
+    """Copies a volume of another preset; of the first layers what reads the views' features."""
+    features = 2 * networks.config.features.volume_channels
+    theirs = source.volume.state_dict()
+    for name, value in networks.volume.state_dict().items():
+        if value.shape == theirs[name].shape:
+            value.copy_(theirs[name])
+        else:
+            value.zero_()
+            value[:, :features] = theirs[name][:, :features]
 
 
 def _shape(config: DetectorConfig | FeatureConfig) -> DetectorConfig | FeatureConfig:

@@ -48,7 +48,7 @@ def test_another_preset_names_the_training_command(saved):
             {"method": "latest"},
             "unknown method 'latest'; there are single, early, late, mid, pnp, mid-pnp, rgbd",
         ),
-        ({"preset": "quick"}, "unknown preset 'quick'; there are fast, paper"),
+        ({"preset": "quick"}, "unknown preset 'quick'; there are fast, features, paper"),
         ({"solver": "best"}, "unknown solver 'best'; there are soft, soft-mean, kabsch, hard"),
         ({"device": "tpu"}, "device must be auto, cpu, cuda, cuda:N or mps, got 'tpu'"),
         ({"threads": -1}, "threads must be >= 0, got -1"),

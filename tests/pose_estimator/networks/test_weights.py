@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -158,6 +159,31 @@ def test_optional_parts_are_written_if_trained(saved: Path, complete: Path, netw
     assert_stored(loaded, networks, stored)
 
 
+def test_only_what_differs_from_shipped_weights_is_written(
+    complete: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Also by weights that build on such weights. With another base they are refused."""
+    shipped = tmp_path / "shipped"
+    shutil.copytree(complete.parent, shipped)
+    shutil.copy(complete, shipped / "base.safetensors")
+    shutil.copy(complete.with_suffix(".json"), shipped / "base.json")
+    monkeypatch.setattr("two_view_pose.pose_estimator.networks.weights.SHIPPED", shipped)
+    tuned = read_networks(complete)
+    tuned.volume.fine.output.bias.data += 0.5
+    changes = shipped / "changes.safetensors"
+    save_weights(tuned, changes, {"what": "changes"}, base="base")
+    assert set(load_file(changes)) == {"volume.fine.output.bias"}
+    assert_stored(read_networks(changes), tuned, load_file(complete))
+    tuned.detector.head.bias.data += 0.5
+    further = tmp_path / "further.safetensors"
+    save_weights(tuned, further, {"what": "more"}, base="changes")
+    assert set(load_file(further)) == {"volume.fine.output.bias", "detector.head.bias"}
+    assert read_header(further)["base"]["name"] == "base"
+    change_tensors(shipped / "base.safetensors", **{"detector.head.bias": torch.zeros(2 + 6)})
+    with pytest.raises(ValueError, match="differs from the shipped weights 'base' of another"):
+        read_networks(changes)
+
+
 def test_missing_tensors_of_a_trained_part_raise(damaged: Path):
     change_header(damaged, trained=["detector", "features", "cascade"])
     with pytest.raises(ValueError, match=r"does not fit its header: cascade\."):
@@ -272,5 +298,5 @@ def test_a_pickle_is_not_executed(damaged: Path):
 
 
 def test_unknown_preset_raises(boxes):
-    with pytest.raises(ValueError, match="unknown preset 'slow'; there are fast, paper"):
+    with pytest.raises(ValueError, match="unknown preset 'slow'; there are fast, features, paper"):
         PoseNetworks(boxes, NetworkConfig(preset="slow"))

@@ -64,6 +64,12 @@ def test_pose_errors_differ_in_magnitude_only():
     assert not np.allclose(error(pair(0, 0, 10), 1.0), error(pair(0, 0, 10), 1.0, 1), atol=1e-4)
 
 
+def test_other_weights_have_a_limit_of_their_own():
+    runs = list(plan(("mid", "late"), [DEFAULT_WEIGHTS, "paper"], other_per_object=7))
+    assert {u.per_object for u in runs if u.part == "training"} == {7}
+    assert {u.per_object for u in runs if u.part == "main"} == {0}
+
+
 def test_plan_has_only_the_given_methods():
     assert {u.method for u in plan(("late",), [DEFAULT_WEIGHTS])} == {"late"}
     assert {u.part for u in plan(("rgbd",), [DEFAULT_WEIGHTS, NOISY])} == {"main"}

@@ -104,13 +104,24 @@ def test_every_tensor_that_depends_on_the_objects_is_loaded(three, fresh):
     assert {name.split(".")[0] for name in depending} == {"detector", "features", "points"}
 
 
-def test_a_volume_of_another_preset_is_skipped(three, boxes):
-    networks = PoseNetworks(boxes, NetworkConfig(preset="paper"))
-    before = networks.volume.coarse.output.weight.clone()
+def test_a_volume_of_another_preset_is_a_start(three, boxes):
+    """Its layers are copied, of the first one what reads features and not votes."""
+    networks = PoseNetworks(boxes, NetworkConfig(preset="features"))
     transfer = transfer_weights(three, networks)
-    assert transfer.skipped == ("volume",) and networks.trained == {"detector", "features"}
-    assert torch.equal(networks.volume.coarse.output.weight, before)
-    assert "starts untrained: volume" in str(transfer)
+    assert transfer.adapted == ("volume",) and networks.trained == {"detector", "features"}
+    assert "of another preset, to be trained: volume" in str(transfer)
+    for mine, theirs in (
+        (networks.volume.coarse, three.volume.coarse),
+        (networks.volume.fine, three.volume.fine),
+    ):
+        assert torch.equal(mine.output.weight, theirs.output.weight)
+        assert torch.equal(mine.trunk[0].weight, theirs.trunk[0].weight[:, :64])
+    three_again = PoseNetworks(three.objects, three.config)
+    networks.trained = frozenset({"detector", "features", "volume"})
+    transfer_weights(networks, three_again)
+    first = three_again.volume.fine.trunk[0].weight
+    assert torch.equal(first[:, :64], networks.volume.fine.trunk[0].weight)
+    assert not first[:, 64:].any()
 
 
 def test_untrained_parts_are_not_loaded(three, fresh):
