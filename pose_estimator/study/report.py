@@ -13,6 +13,7 @@ from ...core.files import write_atomically
 from ...core.results import read_results
 from .. import METHODS
 from . import published, report_tables
+from .claims import findings
 from .figures import draw_charts
 
 FIGURES = ("gaps", "fusions", "poses")
@@ -60,6 +61,7 @@ def report_page(
         keypoint_tables=_by_test(records, report_tables.keypoint_table),
         recall_tables=_by_test(records, report_tables.recall_table),
         published_tables=_by_test(records, lambda _, test: report_tables.published_table(test)),
+        claims=findings(records),
         visibility_table=report_tables.visibility_table(records),
         solver_table=report_tables.solver_table(records),
         noise_table=report_tables.noise_table(records),

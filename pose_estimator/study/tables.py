@@ -30,7 +30,11 @@ MAX_DISTANCE = 0.1
 VISIBILITIES = ((0.1, 0.4), (0.4, 0.7), (0.7, 1.01))
 """Bins of the target's visible fraction in the reference view."""
 
-COMPARED = {"mid": ("single", "early", "late", "rgbd"), "mid-pnp": ("pnp", "mid", "rgbd")}
+COMPARED = {
+    "mid": ("single", "early", "late", "rgbd"),
+    "mid-pnp": ("pnp", "mid", "rgbd"),
+    "late": ("early",),
+}
 """Methods, each with those that it is compared with pair by pair."""
 
 Grouping = Callable[[PairOutcome], Hashable]
