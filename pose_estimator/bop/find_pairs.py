@@ -31,10 +31,12 @@ MAX_PAIRS_PER_REFERENCE = 4
 """Pairs with one reference view; they are spread over the baselines."""
 
 MAX_IMAGES = 200
-"""Images of a scene to pair; a longer scene is subsampled evenly."""
+"""Images of a scene to pair, by gaps reference images; a longer scene is subsampled evenly."""
 
 
-def find_pairs(dataset: BopDataset, pairs: Path | None = None) -> tuple[BopPair, ...]:
+def find_pairs(
+    dataset: BopDataset, pairs: Path | None = None, gaps: Sequence[int] = ()
+) -> tuple[BopPair, ...]:
     """Returns the pairs of a split: those of a file where there is one, else those found.
 
     The result is deterministic.
@@ -42,16 +44,22 @@ def find_pairs(dataset: BopDataset, pairs: Path | None = None) -> tuple[BopPair,
     Args:
         dataset: the split.
         pairs: a file of pairs; None = ``two_view_pairs.json`` of the dataset where it has one.
+        gaps: pair images whose numbers differ by these, whatever the baseline, instead.
 
     Raises:
         InputError: if a file is invalid, or no pair is found.
     """
-    if pairs is not None or (dataset.root / PAIRS_FILE).is_file():
+    if not gaps and (pairs is not None or (dataset.root / PAIRS_FILE).is_file()):
         return read_pairs(pairs or dataset.root)
     symmetries = _read_symmetries(dataset.root)
     found: list[BopPair] = []
     for scene_id in dataset.scene_ids:
-        found += pairs_of_scene(list(dataset.scene(scene_id).values()), symmetries)
+        found += pairs_of_scene(list(dataset.scene(scene_id).values()), symmetries, gaps)
+    if not found and gaps:
+        raise InputError(
+            f"{dataset.root / dataset.split} has no two images of a static object whose numbers "
+            f"differ by {', '.join(map(str, gaps))}"
+        )
     if not found:
         low, high = BASELINES
         raise InputError(
@@ -62,9 +70,9 @@ def find_pairs(dataset: BopDataset, pairs: Path | None = None) -> tuple[BopPair,
 
 
 def pairs_of_scene(
-    images: Sequence[BopImage], symmetries: Mapping[int, np.ndarray]
+    images: Sequence[BopImage], symmetries: Mapping[int, np.ndarray], gaps: Sequence[int] = ()
 ) -> list[BopPair]:
-    """Returns the pairs of one scene, sorted by reference view and baseline.
+    """Returns the pairs of one scene, sorted by reference view, and by baseline or gap.
 
     The camera's motion comes from the world poses where all images have one. Else each object in
     both images proposes a motion, and the one with most inlier objects is used; with a single
@@ -73,40 +81,58 @@ def pairs_of_scene(
     Args:
         images: of the scene, ascending.
         symmetries: obj_id -> symmetry transforms (S, 4, 4), identity first.
+        gaps: differences between the numbers of paired images; none: by baseline.
     """
-    if len(images) > MAX_IMAGES:
-        chosen = np.linspace(0, len(images) - 1, MAX_IMAGES).round().astype(int)
-        images = [images[i] for i in chosen]
+    if len(images) > MAX_IMAGES and not gaps:
+        images = [images[i] for i in _spread(len(images))]
     scene = _Scene(images, symmetries)
+    indices = {image.image_id: index for index, image in enumerate(images)}
     found = []
-    for reference in range(len(images)):
+    for reference in _spread(len(images)):
         visible = scene.visibility[reference] >= MIN_VISIBLE_FRACTION
         T_second_ref, static = scene.motions(reference)
         baselines = scene.baselines(reference, T_second_ref)
         static &= visible
         static[reference] = False
-        count = static.sum(axis=1)
-        mean = np.where(static, baselines, 0).sum(axis=1) / np.maximum(count, 1)
-        within = (mean >= BASELINES[0]) & (mean <= BASELINES[1])
-        seconds = np.flatnonzero((count > 0) & within)
-        seconds = seconds[np.argsort(mean[seconds], kind="stable")]
-        if len(seconds) > MAX_PAIRS_PER_REFERENCE:
-            chosen = np.arange(MAX_PAIRS_PER_REFERENCE) + 0.5
-            seconds = seconds[(chosen * len(seconds) / MAX_PAIRS_PER_REFERENCE).astype(int)]
-        for second in seconds.tolist():
-            found.append(
-                BopPair(
-                    scene_id=images[reference].scene_id,
-                    ref_image_id=images[reference].image_id,
-                    second_image_id=images[second].image_id,
-                    T_second_ref=T_second_ref[second],
-                    baselines_deg={
-                        scene.obj_ids[o]: float(baselines[second, o])
-                        for o in np.flatnonzero(static[second])
-                    },
+        if gaps:
+            numbers = {gap: images[reference].image_id + gap for gap in gaps}
+            seconds = {indices[n]: gap for gap, n in numbers.items() if n in indices}
+        else:
+            seconds = dict.fromkeys(_by_baseline(static, baselines))
+        for second, gap in seconds.items():
+            if static[second].any():
+                found.append(
+                    BopPair(
+                        scene_id=images[reference].scene_id,
+                        ref_image_id=images[reference].image_id,
+                        second_image_id=images[second].image_id,
+                        T_second_ref=T_second_ref[second],
+                        gap=gap,
+                        baselines_deg={
+                            scene.obj_ids[o]: float(baselines[second, o])
+                            for o in np.flatnonzero(static[second])
+                        },
+                    )
                 )
-            )
     return found
+
+
+def _spread(count: int) -> list[int]:
+    """Returns at most ``MAX_IMAGES`` of so many indices, evenly spaced."""
+    return np.linspace(0, count - 1, min(count, MAX_IMAGES)).round().astype(int).tolist()
+
+
+def _by_baseline(static: np.ndarray, baselines: np.ndarray) -> list[int]:
+    """Returns the second views of a reference view within ``BASELINES``, spread over them."""
+    count = static.sum(axis=1)
+    mean = np.where(static, baselines, 0).sum(axis=1) / np.maximum(count, 1)
+    within = (mean >= BASELINES[0]) & (mean <= BASELINES[1])
+    seconds = np.flatnonzero((count > 0) & within)
+    seconds = seconds[np.argsort(mean[seconds], kind="stable")]
+    if len(seconds) > MAX_PAIRS_PER_REFERENCE:
+        chosen = np.arange(MAX_PAIRS_PER_REFERENCE) + 0.5
+        seconds = seconds[(chosen * len(seconds) / MAX_PAIRS_PER_REFERENCE).astype(int)]
+    return seconds.tolist()
 
 
 class _Scene:

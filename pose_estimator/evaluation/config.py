@@ -54,6 +54,9 @@ class EvaluateConfig:
     pairs: Path | None = None
     """File with pairs of views; none = two_view_pairs.json of the dataset, or where it has none,
     pairs found from its poses: 10 to 60 degrees apart, four for each reference view."""
+    gaps: tuple[int, ...] = ()
+    """With --data: pair each image with those so many numbers after it, as the paper pairs the
+    frames of a sequence, whatever the baseline; none = --pairs."""
     baselines: tuple[float, float] = (0.0, 180.0)
     """Smallest and largest angle in degrees between the two views, at the object."""
     both_directions: bool = False
@@ -78,3 +81,7 @@ class EvaluateConfig:
         if not 0 <= low <= high <= 180:
             raise InputError(f"baselines must rise within 0 to 180, got {self.baselines}")
         require_within(self, 0, math.inf, "threads")
+        if any(gap < 1 for gap in self.gaps) or (self.gaps and self.data is None):
+            raise InputError(f"gaps must be 1 or more and need --data, got {self.gaps}")
+        if self.gaps and self.pairs is not None:
+            raise InputError("gaps and pairs exclude each other: a file of pairs has its own")

@@ -32,8 +32,8 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     )  # fmt: skip
     networks = estimator.networks
     dataset = read_dataset(root, config.split)
-    pairs = list(find_pairs(dataset, config.pairs))
-    if config.pairs is None and not (root / PAIRS_FILE).is_file():
+    pairs = list(find_pairs(dataset, config.pairs, config.gaps))
+    if config.gaps or (config.pairs is None and not (root / PAIRS_FILE).is_file()):
         print(f"{len(pairs)} pairs of views found from the poses of {root / config.split}")
     if config.both_directions:
         pairs += [swapped(pair) for pair in pairs]
@@ -100,4 +100,6 @@ def _command(config: EvaluateConfig) -> str:
     for name in _changed(config):
         value = getattr(config, name)
         options += f" --{name} " + ("{:g} {:g}".format(*value) if name == "baselines" else value)
+    if config.gaps:
+        options += f" --gaps {' '.join(map(str, config.gaps))}"
     return options + " --both-directions" * config.both_directions

@@ -150,6 +150,26 @@ def test_long_scenes_are_subsampled():
     assert 150 < len(paired) <= 200 and {0, 299} <= paired
 
 
+def test_gaps_pair_images_by_their_numbers():
+    """Not by their places; image 3 is missing, and the object has moved in image 6."""
+    images = scene(list(np.linspace(0, 7, 8)), {1: OBJECTS[1]})
+    images[6] = changed(images[6], 1, camera(6.0) @ placed(0.2, 0, 0))
+    pairs = pairs_of_scene([i for i in images if i.image_id != 3], {}, gaps=(1, 5))
+    assert [(p.ref_image_id, p.second_image_id, p.gap) for p in pairs] == [
+        (0, 1, 1), (0, 5, 5), (1, 2, 1), (2, 7, 5), (4, 5, 1),
+    ]  # fmt: skip
+    for pair in pairs:
+        assert pair.baselines_deg[1] == pytest.approx(pair.gap, abs=1e-6)
+    many = scene(list(np.linspace(0, 90, 500)), {1: OBJECTS[1]})
+    references = [p.ref_image_id for p in pairs_of_scene(many, {}, gaps=(1,))]
+    assert len(references) == 199 and references[-1] > 490
+
+
+def test_no_image_at_a_gap_is_an_error(dataset: Path):
+    with pytest.raises(ValueError, match="whose numbers differ by 700"):
+        find_pairs(read_dataset(dataset, "train_pbr"), gaps=(700,))
+
+
 def test_pairs_file_has_priority(dataset: Path, tmp_path: Path):
     opened = read_dataset(dataset, "train_pbr")
     listed = read_pairs(dataset)

@@ -121,6 +121,9 @@ def test_only_listed_targets_count_where_a_pair_names_none(boxes):
     assert near == [first.name]
     with pytest.raises(ValueError, match=r"baselines must rise within 0 to 180, got \(60"):
         EvaluateConfig(baselines=(60.0, 10.0))
+    for wrong in ({"gaps": (0,), "data": Path("x")}, {"gaps": (1,)}):
+        with pytest.raises(ValueError, match="gaps must be 1 or more and need --data"):
+            EvaluateConfig(**wrong)
 
 
 def test_errors_are_measured_on_the_surfaces_that_are_given(opened, dataset, boxes):
