@@ -95,12 +95,12 @@ class BenchConfig:
             skipped.add("cost")  # it is in no table
         return tuple(g for g in GROUPS if g in (self.only or GROUPS) and g not in skipped)
 
-    def load_mid(self) -> KeypointEstimator:
-        """Mid-Fusion with the weights, for groups that need them."""
+    def load_default(self) -> KeypointEstimator:
+        """The default method with the weights, for groups that need them."""
         from two_view_pose.pose_estimator import load
 
         assert self.weights is not None
-        return load("mid", self.weights, device="cpu")
+        return load(weights=self.weights, device="cpu")
 
     @property
     def fewer_repeats(self) -> int:

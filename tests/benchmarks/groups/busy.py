@@ -37,7 +37,7 @@ while os.getppid() == int(sys.argv[1]):
 
 def measure(config: BenchConfig) -> Iterator[Record]:
     """An estimate, a step of the vector environment and one of training."""
-    estimator = config.load_mid()
+    estimator = config.load_default()
     pairs = cycle(draw_pairs(config.seed, PAIRS))
     yield compare(
         "Mid-Fusion, one pair",
@@ -49,7 +49,7 @@ def measure(config: BenchConfig) -> Iterator[Record]:
     try:
         envs.reset(seed=config.seed)
         yield compare(
-            f"vector env, a step of {NUM_ENVS} sub-environments with mid",
+            f"vector env, a step of {NUM_ENVS} sub-environments with mid-pnp",
             lambda: envs.step(envs.action_space.sample()),
             config.fewer_repeats,
         )

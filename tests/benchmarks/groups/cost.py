@@ -93,7 +93,7 @@ def show(scene: Scene, count: int) -> None:
 
 def crop_costs(config: BenchConfig, batches: tuple[int, ...]) -> list[Record]:
     """The 2D network and its votes, as the estimator asks them, for each crop of a batch."""
-    networks = config.load_mid().networks
+    networks = config.load_default().networks
     side = networks.features.config.crop
     rng = np.random.default_rng(config.seed)
     encode = Inference(networks).encode

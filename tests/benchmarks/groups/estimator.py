@@ -31,7 +31,7 @@ def compare_pair(config: BenchConfig) -> Record:
     return ratio(
         "Mid-Fusion, one pair, images to pose",
         "PVNet forward (ResNet-18 at stride 8, decoder), one image, 640x480, float32",
-        config.load_mid().estimate,
+        config.load_default().estimate,
         forward_pass(PVNet()),
         config.repeats,
         goal=2.0,
@@ -41,7 +41,7 @@ def compare_pair(config: BenchConfig) -> Record:
 
 def compare_step(config: BenchConfig) -> Record:
     """A whole ``env.step`` against one forward pass of a ResNet-18 on a 640x480 image."""
-    env = gym.make("two_view_pose:TwoViewPose-v0", estimator=config.load_mid())
+    env = gym.make("two_view_pose:TwoViewPose-v0", estimator=config.load_default())
     rng, seeds = np.random.default_rng(config.seed), count(config.seed)
 
     def begin() -> tuple[np.ndarray]:

@@ -19,8 +19,8 @@ GOAL = 1.6
 def measure(config: BenchConfig) -> Iterator[Record]:
     """A step of eight with ``mid``, which begins their next episodes, against single ones."""
     name = "two_view_pose:TwoViewPose-v0"
-    envs = gym.make_vec(name, num_envs=NUM_ENVS, estimator=config.load_mid())
-    single = gym.make(name, estimator=config.load_mid())
+    envs = gym.make_vec(name, num_envs=NUM_ENVS, estimator=config.load_default())
+    single = gym.make(name, estimator=config.load_default())
     try:
         yield compare(envs, single, config.repeats, config.seed)
     finally:
@@ -66,7 +66,7 @@ def compare(envs: VectorEnv, single: gym.Env, repeats: int, seed: int) -> Record
         theirs.append(took)
         differences.append(float(np.abs(rewards - single_rewards).max()))
     record = make_record(
-        f"vector env, {count} sub-environments with mid: an episode",
+        f"vector env, {count} sub-environments with mid-pnp: an episode",
         f"{count} single ones in sequence",
         ours[WARM_UP:],
         theirs[WARM_UP:],
