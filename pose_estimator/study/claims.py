@@ -49,6 +49,7 @@ class Claim:
 
 
 _MISSING = Finding(UNTESTED, "not all of its methods were measured")
+_FEW = Finding(UNTESTED, "too few sequences for an interval")
 
 
 def findings(records: Records) -> list[tuple[Claim, Finding]]:
@@ -81,8 +82,10 @@ def _smaller(records: Records, method: str, others: Sequence[str], gaps: Sequenc
         if not set(gaps) <= set(found):
             return _MISSING
         differences = [found[gap] for gap in gaps]
-        agrees += [d.get("high", d["value"]) < 0 for d in differences]
-        opposes += [d.get("low", d["value"]) > 0 for d in differences]
+        if not all("low" in d for d in differences):
+            return _FEW
+        agrees += [d["high"] < 0 for d in differences]
+        opposes += [d["low"] > 0 for d in differences]
         values = " / ".join(f"{1000 * d['value']:+.1f}" for d in differences)
         texts.append(f"{method} minus {other} {values} mm")
     at = " / ".join(map(str, gaps))
@@ -95,7 +98,9 @@ def _gains(records: Records, scene: str) -> Finding:
     gain = _values(records, "add_s_recall_difference", **tags).get(BEST_GAP)
     if gain is None:
         return _MISSING
-    low, high = gain.get("low", gain["value"]), gain.get("high", gain["value"])
+    if "low" not in gain:
+        return _FEW
+    low, high = gain["low"], gain["high"]
     verdict, interval = _verdict([low > 0], [high < 0]), f"{100 * low:+.1f} to {100 * high:+.1f}"
     text = f"mid minus single {100 * gain['value']:+.1f} points ({interval})"
     return Finding(verdict, f"{text}, gap {BEST_GAP}; no other RGB method")
@@ -109,6 +114,8 @@ def _improves(records: Records) -> Finding:
         found = _values(records, "keypoint_distance", **tags)
         if not set(GAPS) <= set(found):
             return _MISSING
+        if not all("low" in found[gap] for gap in GAPS):
+            return _FEW
         values = [found[gap]["value"] for gap in GAPS]
         agrees += [a > b for a, b in pairwise(values)]
         texts.append(f"{method} {' / '.join(f'{1000 * v:.1f}' for v in values)} mm")
@@ -119,7 +126,7 @@ def _best_at_distances(records: Records) -> Finding:
     """At how many distances between the cameras ``mid`` finds the largest share of keypoints."""
     shares: dict[float, dict[str, float]] = {}
     for r in records:
-        wanted = r["metric"] == "keypoint_recall" and r["object"] == "mean"
+        wanted = r["metric"] == "keypoint_recall" and r["object"] == "mean" and "low" in r
         if wanted and r["scene"] == "linemod" and r["method"] in FUSIONS:
             shares.setdefault(r["baseline"], {})[r["method"]] = r["value"]
     whole = {b: own for b, own in shares.items() if len(own) == len(FUSIONS)}

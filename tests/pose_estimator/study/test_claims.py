@@ -17,7 +17,7 @@ def distances(early, late, mid) -> list[dict]:
     """The means of three gaps, m."""
     return [
         {"metric": "keypoint_distance", "scene": "linemod", "object": "mean", "method": method,
-         "gap": gap, "value": value}
+         "gap": gap, "value": value, "low": value, "high": value}
         for method, values in (("early", early), ("late", late), ("mid", mid))
         for gap, value in zip((1, 5, 10), values, strict=True)
     ]  # fmt: skip
@@ -56,6 +56,14 @@ def test_a_claim_about_all_gaps(values, width, verdict):
     assert f"{1000 * values[0]:+.1f} / {1000 * values[1]:+.1f}" in finding.figures
 
 
+def test_without_an_interval_nothing_is_claimed():
+    few = differences((-0.02, -0.01, -0.004)) + distances((3, 2, 1), (3, 2, 1), (3, 2, 1))
+    few = [{k: v for k, v in record.items() if k not in ("low", "high")} for record in few]
+    for text in (MORE_ACCURATE, CLAIMS[0].text):
+        assert found(few, text).verdict == UNTESTED
+        assert "too few sequences" in found(few, text).figures
+
+
 def test_improving_with_the_gap():
     text = CLAIMS[0].text
     better, worse = (0.03, 0.02, 0.01), (0.01, 0.02, 0.03)
@@ -80,7 +88,7 @@ def test_most_keypoints_at_most_distances(mid, verdict):
     shares = {"early": 0.5, "late": 0.6, "mid": mid}
     records = [
         {"metric": "keypoint_recall", "scene": "linemod", "object": "mean", "method": method,
-         "baseline": baseline, "value": 0.8 if baseline > 0.2 else share}
+         "baseline": baseline, "value": 0.8 if baseline > 0.2 else share, "low": 0, "high": 1}
         for method, share in shares.items() for baseline in (0.0125, 0.1125, 0.1625, 0.2125)
     ]  # fmt: skip
     finding = found(records, CLAIMS[4].text)
