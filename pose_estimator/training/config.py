@@ -126,9 +126,9 @@ class TrainEstimatorConfig:
     """Weights to start from instead of ImageNet: the name of shipped ones, or a .safetensors file.
     Stages that are not run keep them. If they are of other objects or another preset, the
     compatible parts are loaded and printed."""
-    changes_only: bool = False
-    """Write only what differs from the shipped weights in --init: a small file, if few stages run.
-    It can be read wherever the same weights are shipped."""
+    base: str | None = None
+    """Write only what differs from these shipped weights: a small file after a training that starts
+    from them and changes little. It can be read wherever the same weights are shipped."""
     store_meshes: bool = True
     """Store the meshes of your own objects with the weights. With --no-store-meshes, for meshes
     that must not be redistributed, they hold keypoints, symmetries and sizes only."""
@@ -174,8 +174,8 @@ class TrainEstimatorConfig:
             require_within(self, 0, math.inf, "workers")
         if not all(0 <= value < math.inf for value in self.pose_noise):
             raise InputError(f"pose_noise must be finite and >= 0, got {self.pose_noise}")
-        if self.changes_only and (self.init is None or self.init.endswith(".safetensors")):
-            raise InputError("changes_only needs the name of shipped weights in init")
+        if self.base is not None and self.base.endswith(".safetensors"):
+            raise InputError(f"base must be the name of shipped weights, got {self.base}")
         if self.augmentation not in ("mild", "strong"):
             raise InputError(f"augmentation must be mild or strong, got {self.augmentation!r}")
         unknown = [stage for stage in self.stages if stage not in STAGE_DEFAULTS]

@@ -45,7 +45,7 @@ def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) 
     import torch
 
     from ...core.device import describe, uses_bfloat16
-    from ..networks.weights import save_weights
+    from ..networks.weights import find_weights, save_weights
     from .distributed import rank, rank_zero_first, threads_per_rank, world_size
     from .trainer import disable_malloc_trim
 
@@ -53,6 +53,8 @@ def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) 
         torch.set_num_threads(config.threads or threads_per_rank())
     disable_malloc_trim()
     torch.manual_seed(config.seed)
+    if config.base is not None:
+        find_weights(config.base)  # an unknown one is an error before hours of training
     networks = start_networks(config).to(device)
     steps = {name: config.stage(name, len(networks.objects)).steps for name in STAGE_DEFAULTS}
     plan = [f"{name} ({count} steps)" for name, count in steps.items() if name in config.stages]
@@ -76,8 +78,7 @@ def _train(config: TrainEstimatorConfig, device: torch.device, deadline: float) 
         return path
     networks.cpu()
     fields = header(config, networks, done, log.held_out)
-    base = config.init if config.changes_only else None
-    save_weights(networks, path, fields, surfaces=config.store_meshes, base=base)
+    save_weights(networks, path, fields, surfaces=config.store_meshes, base=config.base)
     if config.json is not None:
         log.write_results(config)
     print(f"weights: {path}")

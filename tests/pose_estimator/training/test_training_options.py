@@ -64,7 +64,7 @@ def test_a_paper_volume_is_trained_on_trained_features(
     path = train_estimator(
         TrainEstimatorConfig(
             data=dataset, out=tmp_path / "out", stages=("volume",), preset="paper", volume_steps=1,
-            init=finished.stem, changes_only=True, validation=0.3, threads=1, workers=0,
+            init=str(finished), base=finished.stem, validation=0.3, threads=1, workers=0,
             pose_noise=(1.0, 5.0), pose_loss=0.5,
         )
     )  # fmt: skip
@@ -168,7 +168,7 @@ def test_a_new_volume_keeps_the_other_parts(
         ({"workers": -1}, "workers must be >= 0, got -1"),
         ({"max_minutes": float("inf")}, "max_minutes must be >= 0, got inf"),
         ({"lr_cycles": 0}, "lr_cycles must be >= 1, got 0"),
-        ({"changes_only": True, "init": "a/b.safetensors"}, "needs the name of shipped weights"),
+        ({"base": "a/b.safetensors"}, "base must be the name of shipped weights"),
         ({"batch_scale": 0}, "batch_scale must be >= 1, got 0"),
         ({"frozen_stages": -1}, "frozen_stages must be >= 0, got -1"),
         ({"cut_and_paste": 1.2}, "cut_and_paste must be 0 to 1, got 1.2"),
