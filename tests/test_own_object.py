@@ -115,7 +115,7 @@ def test_the_same_command_again_trains_nothing(weights: Path, data: Path, monkey
     printed = capsys.readouterr().out
     assert f"objects of {data / 'models'}: bracket" in printed
     assert "training bracket: detector (2 steps), decoders (2 steps), volume (2 steps)" in printed
-    assert f"evaluate --method mid --weights {weights}" in printed
+    assert f"evaluate --method mid-pnp --weights {weights}" in printed
 
 
 def test_a_killed_training_ends_with_the_same_weights(

@@ -94,6 +94,7 @@ def pairs_of_scene(
         baselines = scene.baselines(reference, T_second_ref)
         static &= visible
         static[reference] = False
+        seconds: dict[int, int | None]
         if gaps:
             numbers = {gap: images[reference].image_id + gap for gap in gaps}
             seconds = {indices[n]: gap for gap, n in numbers.items() if n in indices}
