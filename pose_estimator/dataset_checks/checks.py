@@ -17,7 +17,8 @@ from .config import CheckDataConfig
 from .files import check_files
 from .findings import Findings
 from .images import ImageCheck
-from .meshes import read_models
+from .meshes import EVALUATION, MODELS, CheckedModel, read_models
+from .model_folders import check_folders
 from .models import check_models
 from .pairs import check_pairs, check_world
 from .poses import check_poses
@@ -29,8 +30,7 @@ T = TypeVar("T")
 def find_mistakes(config: CheckDataConfig, root: Path) -> tuple[Findings, list[Projection], str]:
     """Returns all findings, the wrong projections, and a summary of what was checked."""
     findings = Findings()
-    models = read_models(root, findings)
-    check_models(models.values(), findings)
+    models = _check_all_models(read_models(root, findings), findings)
     check = ImageCheck(models, read_camera_size(root, findings), findings)
     pairs = _read_pairs(root / PAIRS_FILE, findings)
     folders = _scene_folders(config, root, findings)
@@ -53,6 +53,20 @@ def find_mistakes(config: CheckDataConfig, root: Path) -> tuple[Findings, list[P
 def counted(number: int, noun: str) -> str:
     """Returns number and noun, such as "1 scene" and "2 scenes"."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def _check_all_models(
+    folders: Mapping[str, Mapping[int, CheckedModel]], findings: Findings
+) -> dict[int, CheckedModel]:
+    """Checks the folders of models; returns the objects, where possible those with colors."""
+    models, evaluation = folders.get(MODELS), folders.get(EVALUATION)
+    if models is not None:
+        check_models(models.values(), findings)
+    if evaluation is not None:
+        check_models(evaluation.values(), findings, colored=models is None)
+    if models and evaluation:
+        check_folders(models, evaluation, findings)
+    return {**(evaluation or {}), **(models or {})}
 
 
 def _read_pairs(path: Path, findings: Findings) -> dict[int, BopPair]:
