@@ -11,7 +11,7 @@ import numpy as np
 
 from ...assets.object_model import ObjectModel
 from .fields import MM
-from .models_info import BopModelInfo, read_models_info
+from .models_info import read_models_info
 from .objects import SAME_DIAMETER, has_models, info_folder
 
 
@@ -67,7 +67,10 @@ def match_objects(root: str | Path, objects: Mapping[str, ObjectModel]) -> Match
     taken: dict[int | None, str] = {}
     for name, model in objects.items():
         candidates = [i for i in (named.get(name), infos.get(model.obj_id)) if i is not None]
-        reasons = {info.obj_id: _difference(model, info) for info in candidates}
+        reasons = {
+            info.obj_id: difference(model, info.diameter, info.minimum, info.extents)
+            for info in candidates
+        }
         same = next((obj_id for obj_id, reason in reasons.items() if not reason), None)
         if same in taken:
             different[name] = f"object {same} of the dataset is {taken[same]}"
@@ -82,18 +85,16 @@ def match_objects(root: str | Path, objects: Mapping[str, ObjectModel]) -> Match
     return Matches(shared, different, tuple(absent))
 
 
-def _difference(model: ObjectModel, info: BopModelInfo) -> str:
-    """Returns how an entry differs from an object, or nothing."""
+def difference(
+    model: ObjectModel, diameter: float, minimum: np.ndarray, extents: np.ndarray
+) -> str:
+    """Returns how an object differs from one of this diameter and bounding box, or nothing."""
     tolerance = SAME_DIAMETER * model.diameter
-    low, extents = model.vertices.min(axis=0), model.extents
-    if (
-        abs(info.diameter - model.diameter) > tolerance
-        or np.abs(info.extents - extents).max() > tolerance
-    ):
-        return f"is {_size(info.diameter, info.extents)}, not {_size(model.diameter, extents)}"
-    if np.abs(info.minimum - low).max() > tolerance:
-        shift = MM * float(np.linalg.norm(info.minimum - low))
-        return f"has its origin elsewhere, {shift:.0f} mm off"
+    low, sides = model.vertices.min(axis=0), model.extents
+    if abs(diameter - model.diameter) > tolerance or np.abs(extents - sides).max() > tolerance:
+        return f"is {_size(diameter, extents)}, not {_size(model.diameter, sides)}"
+    if np.abs(minimum - low).max() > tolerance:
+        return f"has its origin elsewhere, {MM * float(np.linalg.norm(minimum - low)):.0f} mm off"
     return ""
 
 

@@ -9,8 +9,8 @@ from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
 from ..bop.dataset import BopDataset, read_dataset
 from ..bop.find_pairs import find_pairs
-from ..bop.matching import Matches, match_objects
-from ..bop.objects import dataset_objects, has_models
+from ..bop.matching import Matches, difference, match_objects
+from ..bop.objects import dataset_objects, has_models, load_objects
 from ..bop.pairs import PAIRS_FILE, BopPair, swapped
 from ..bop.results import most_confident_per_target, write_bop_results
 from ..bop.targets import TARGETS_FILE, is_test, read_targets
@@ -79,20 +79,33 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
 def _surfaces(
     config: EvaluateConfig, dataset: BopDataset, objects: Mapping[str, ObjectModel]
 ) -> Mapping[str, MeasuredObject] | None:
-    """Returns the dataset's models on which errors are measured, by name; None for ``objects``.
+    """Returns the models on which errors are measured, by name; None: those of ``objects``.
 
-    On a dataset given by ``--data`` that is all of them, on scenes that we rendered those whose
-    surface is not stored with the weights.
+    On a dataset given by ``--data`` they are the dataset's, or those of ``--objects`` where it has
+    none. On scenes that we rendered only those whose surface is not stored with the weights.
+
+    Raises:
+        InputError: if a model is invalid, or a mesh of ``--objects`` is another object.
     """
-    if not has_models(dataset.root):
-        return None
     names = {
         model.obj_id: name
         for name, model in objects.items()
         if config.data is not None or not model.has_surface
     }
-    found = dataset_objects(dataset.root, names, ignore_unknown=True)
-    return {names[obj_id]: measured for obj_id, measured in found.items()} or None
+    surfaces: dict[str, MeasuredObject] = {}
+    if has_models(dataset.root):
+        found = dataset_objects(dataset.root, names, ignore_unknown=True)
+        surfaces = {names[obj_id]: measured for obj_id, measured in found.items()}
+    given = load_objects(config.objects) if config.data is not None and config.objects else {}
+    for name, model in given.items():
+        if name not in objects:
+            known = ", ".join(objects)
+            raise InputError(f"--objects {name} is not what the weights know: {known}")
+        corner, extents = model.vertices.min(axis=0), model.extents
+        if reason := difference(objects[name], model.diameter, corner, extents):
+            raise InputError(f"--objects {name} {reason}, as the weights know it")
+        surfaces.setdefault(name, model)
+    return surfaces or None
 
 
 def _print_left_out(

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 from helpers.study_cases import Oracle, only_record
 from two_view_pose.core.errors import InputError
 from two_view_pose.core.geometry import make_transform
@@ -153,6 +154,31 @@ def test_rendered_scenes_have_the_surface_that_the_weights_lack(
     records = evaluate_dataset(EvaluateConfig(split="train_pbr"), dataset, {})
     assert only_record(records, "add_s_recall", object="mean")["value"] == 1.0
     assert "left out" not in capsys.readouterr().out
+
+
+def test_a_given_mesh_is_the_surface_where_a_dataset_has_no_models(
+    opened, dataset, boxes, loaded, tmp_path
+):
+    (tmp_path / "train_pbr").symlink_to(dataset / "train_pbr")
+    oracle, _ = loaded(opened)
+    bare = {"brick": replace(boxes["brick"], points=np.empty((0, 3)))}
+    oracle.networks.objects = bare
+    write_pairs(tmp_path / "two_view_pairs.json", read_pairs(dataset)[:1])
+    config = EvaluateConfig(split="train_pbr", data=tmp_path)
+    with pytest.raises(InputError, match=r"ADD needs the surface of brick.*--objects brick=FILE"):
+        evaluate_dataset(config, tmp_path, {})
+    for extents, words in (((120, 80, 60), ""), ((120, 60, 80), "brick is 156 mm across")):
+        mesh = tmp_path / "mesh.ply"
+        trimesh.creation.box(extents).export(mesh)
+        given = replace(config, objects=(f"brick={mesh}",))
+        if words:
+            with pytest.raises(InputError, match=words):
+                evaluate_dataset(given, tmp_path, {})
+        else:
+            records = evaluate_dataset(given, tmp_path, {})
+            assert only_record(records, "add_s_recall", object="brick")["value"] == 1.0
+    with pytest.raises(InputError, match="--objects mesh is not what the weights know: brick"):
+        evaluate_dataset(replace(config, objects=(str(mesh),)), tmp_path, {})
 
 
 @pytest.mark.slow
