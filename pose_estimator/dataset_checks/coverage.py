@@ -9,9 +9,9 @@ from ..bop.scene import Scene
 
 NEEDS: Mapping[str, str] = {
     "poses (scene_gt.json)": "evaluate and train-estimator need them",
-    "masks (mask_visib)": "train-estimator needs them",
-    "boxes and visible fractions (scene_gt_info.json)": "they are computed from masks, where there "
-    "are masks",
+    "masks (mask_visib)": "poses are compared with boxes alone, and train-estimator needs masks",
+    "boxes and visible fractions (scene_gt_info.json)": "they are computed from masks; without "
+    "masks too, every object counts as visible",
     "depth maps (depth)": "only rgbd and training its stage points need them",
 }
 """Optional part of a scene -> what it is needed for."""

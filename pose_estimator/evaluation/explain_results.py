@@ -56,8 +56,8 @@ def explain_results(
     cases = [case for e in sample if (case := _case(e, e.image_id, truths, objects)) is not None]
     if not sample:
         return None
-    written = np.mean([False, *(_near(c, c.estimate.T_cam_obj) for c in cases)])
     count, mistakes = len(sample), Counter[tuple[str, str]]()
+    written = sum(_near(c, c.estimate.T_cam_obj) for c in cases) / count
     for case in cases:
         for correction in pose_corrections(case.estimate.T_cam_obj, np.eye(3)):
             key = _of_results(correction.cause), _of_results(correction.remedy)

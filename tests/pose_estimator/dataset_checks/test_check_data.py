@@ -161,7 +161,7 @@ def test_pairs_are_skipped_where_poses_are_wrong(data, capsys):
 @pytest.mark.parametrize(
     ("remove", "note", "compared"),
     [
-        (["mask_visib"], "no masks (mask_visib) in 2 of 2 scenes of test; train-estimator", 24),
+        (["mask_visib"], "no masks (mask_visib) in 2 of 2 scenes of test; poses are", 24),
         (["mask_visib", "scene_gt_info.json"], "no pose was compared with an image", 0),
         (["scene_gt.json", "scene_gt_info.json"], "no poses (scene_gt.json) in 2 of 2 scenes", 0),
         (["scene_gt_info.json"], "no boxes and visible fractions (scene_gt_info.json) in 2", 24),
