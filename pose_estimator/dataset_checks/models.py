@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ...assets.surface_colors import sample_colors
 from ...core.geometry import make_transform
+from ..bop.fields import MM
 from ..bop.objects import PLAUSIBLE_DIAMETERS
 from .cameras import rigid_or_nan
 from .findings import Findings
@@ -25,6 +26,9 @@ SAME_COLOR = 0.05
 _POINTS = 600
 DENSE_POINTS = 20_000
 """Points of a surface to measure distances from it."""
+
+TURNS = (90.0, 137.5, 68.75)
+"""Turns in degrees that test a continuous symmetry: no prism looks the same after all of them."""
 
 MAX_LISTED = 100
 """Discrete symmetries of an object to check; more are a continuous one in many steps."""
@@ -123,23 +127,48 @@ def _check_symmetries(
     chosen = np.linspace(0, len(discrete) - 1, min(len(discrete), MAX_LISTED)).astype(int)
     listed = {f"symmetries_discrete, number {i}": discrete[i] for i in chosen.tolist()}
     for i, (x, y, z, *offset) in enumerate(model.info.axes):
-        T = _rotation_about(np.array([x, y, z]), np.array(offset), 90)
-        listed[f"symmetries_continuous, number {i}"] = T
+        axis, point = np.array([x, y, z]), np.array(offset)
+        turned = [_rotation_about(axis, point, degrees) for degrees in TURNS]
+        farthest = max(turned, key=lambda T: 0 if np.isnan(T).any() else moved(T)[0])
+        listed[f"symmetries_continuous, number {i}"] = farthest
     for name, T in listed.items():
         _check_listed(model, name, T, moved, findings)
     if listed or not missing:
         return
-    center = mesh.bounds.mean(axis=0)
-    for axis, direction in zip("xyz", np.eye(3), strict=True):
-        distance, color = moved(_rotation_about(direction, center, 180))
-        if distance < SAME_SURFACE and color < SAME_COLOR:
-            findings.warning(
-                model.info_path, "symmetries_discrete", "a symmetry is missing",
-                detail=f"object {model.obj_id} is symmetric under a half turn about {axis}",
-                cause="equal views have different poses, so that training data is ambiguous",
-                remedy="add symmetries_discrete or symmetries_continuous to models_info.json",
-            )  # fmt: skip
-            return
+    _check_missing(model, mesh.bounds.mean(axis=0), moved, findings)
+
+
+def _check_missing(
+    model: CheckedModel,
+    center: np.ndarray,
+    moved: Callable[[np.ndarray], tuple[float, float]],
+    findings: Findings,
+) -> None:
+    """Reports that an object looks the same after turns about its center, and lists none."""
+
+    def same(direction: np.ndarray, degrees: float) -> bool:
+        distance, color = moved(_rotation_about(direction, center, degrees))
+        return distance < SAME_SURFACE and color < SAME_COLOR
+
+    axes = dict(zip("xyz", np.eye(3), strict=True))
+    halves = [axis for axis, direction in axes.items() if same(direction, 180)]
+    if not halves:
+        return
+    every = [axis for axis in halves if all(same(axes[axis], degrees) for degrees in TURNS)]
+    if every:
+        point = " ".join(f"{MM * x:.4g}" for x in center)
+        shape = "a sphere" if len(every) == 3 else "a body of revolution"
+        about = f"every turn about {', '.join(every)}: it is {shape} around {point} mm"
+        field, remedy = "symmetries_continuous", "add axis and offset as symmetries_continuous"
+    else:
+        about, field = f"a half turn about {halves[0]}", "symmetries_discrete"
+        remedy = "add symmetries_discrete to models_info.json"
+    findings.warning(
+        model.info_path, field, "a symmetry is missing",
+        detail=f"object {model.obj_id} is symmetric under {about}",
+        cause="equal views have different poses, so that training data is ambiguous",
+        remedy=remedy,
+    )  # fmt: skip
 
 
 def _check_listed(
