@@ -5,6 +5,12 @@ import numpy as np
 _CANONICAL_DIRECTION = np.array([0.45, 0.89, 0.0])
 """In the object's frame; in the canonical pose it points towards the camera."""
 
+_CANONICAL_RIGHT = np.array([-0.89, 0.45, 0.0])
+"""In the object's frame; in a sphere's canonical pose it points to the right of the image too."""
+
+_MAX_CYLINDER = 144
+"""Only a sphere has more symmetry transforms: those of a cylinder leave no spin to choose."""
+
 
 def canonical_pose(T_cam_obj: np.ndarray, symmetries: np.ndarray) -> np.ndarray:
     """Returns the symmetry-equivalent pose whose fixed side faces the camera most.
@@ -22,7 +28,11 @@ def canonical_pose(T_cam_obj: np.ndarray, symmetries: np.ndarray) -> np.ndarray:
         return T_cam_obj
     equivalents = T_cam_obj @ symmetries
     towards_camera = -np.einsum("sji,sj->si", equivalents[:, :3, :3], equivalents[:, :3, 3])
-    return equivalents[int(np.argmax(towards_camera @ _CANONICAL_DIRECTION))]
+    facing = towards_camera @ _CANONICAL_DIRECTION
+    if len(symmetries) > _MAX_CYLINDER:
+        facing = facing / np.linalg.norm(T_cam_obj[:3, 3])
+        facing += equivalents[:, 0, :3] @ _CANONICAL_RIGHT
+    return equivalents[int(np.argmax(facing))]
 
 
 def keypoint_permutations(

@@ -18,6 +18,7 @@ from ...core.geometry import View, invert, make_transform
 from ...pose_estimator.bop.dataset import BopImage, read_dataset, read_rgb
 from ...pose_estimator.bop.find_dataset import find_dataset
 from ...pose_estimator.bop.find_pairs import find_pairs
+from ...pose_estimator.bop.matching import match_objects
 from ...pose_estimator.bop.objects import dataset_objects, has_models
 from ...pose_estimator.bop.pairs import swapped
 from ...pose_estimator.bop.targets import TARGETS_FILE, is_test, read_targets
@@ -64,11 +65,15 @@ class _RealRecorder:
         self._config = config
         root = find_dataset(config.data)
         self._estimator: Any = pose_estimator.load(weights=config.weights, device=config.device)
-        self._models = self._estimator.networks.objects
         self._dataset = read_dataset(root, config.split)
         self._own = load_objects(None)
         self._names = tuple(self._own)
-        ids = {model.obj_id: name for name, model in self._models.items() if name in self._names}
+        known = self._estimator.networks.objects
+        matches = match_objects(root, {n: known[n] for n in self._names if n in known})
+        if text := str(matches):
+            print(text)
+        self._models = matches.objects
+        ids = {model.obj_id: name for name, model in self._models.items()}
         self._measured: dict[str, Any] = {name: self._models[name] for name in ids.values()}
         if has_models(root):
             measured = dataset_objects(root, ids, ignore_unknown=True)

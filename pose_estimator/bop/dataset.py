@@ -15,8 +15,9 @@ from ...core.errors import InputError
 from ...core.geometry import check_intrinsics
 from ...core.images import read_image
 from .boxes import Box
-from .fields import MM, rigid
+from .fields import MM, read_json, rigid
 from .gt_info import measure_masks
+from .layouts import holds_shards
 from .pairs import BopPair as BopPair
 from .pairs import read_pairs as read_pairs
 from .scene import Scene, read_scene
@@ -137,13 +138,39 @@ def read_dataset(root: str | Path, split: str = "test") -> BopDataset:
     """
     folder = Path(root) / split
     if not folder.is_dir():
-        others = sorted(p.parent.parent.name for p in Path(root).glob("*/[0-9]*/scene_camera.json"))
+        others = sorted(
+            p.parent.parent.name for p in Path(root).glob("*/[0-9]*/scene_camera*.json")
+        )
         hint = f"; available with --split: {', '.join(dict.fromkeys(others))}" if others else ""
         raise InputError(f"dataset has no split {split!r}: {folder} is not a folder{hint}")
     scene_ids = sorted(int(p.name) for p in folder.iterdir() if p.name.isdigit() and p.is_dir())
+    if not scene_ids and holds_shards(folder):
+        raise InputError(
+            f"{folder} is in BOP's webdataset format (*.tar); download the scenewise files "
+            "(folders such as 000000)"
+        )
     if not scene_ids:
         raise InputError(f"{folder} holds no scenes (folders such as 000000)")
     return BopDataset(Path(root), split, tuple(scene_ids))
+
+
+def require_masks(dataset: BopDataset) -> None:
+    """Raises where a scene with poses has no masks of the visible pixels, which training needs.
+
+    Raises:
+        InputError: names the first such scene.
+    """
+    scenes = (dataset.root / dataset.split / f"{i:06d}" for i in dataset.scene_ids)
+    for scene in scenes:
+        poses = scene / "scene_gt.json"
+        if (scene / "mask_visib").is_dir() or not poses.is_file():
+            continue
+        if any(read_json(poses, dict).values()):
+            raise InputError(
+                f"{scene} has no masks (mask_visib), which training needs: download them, or "
+                "render them with bop_toolkit's calc_gt_masks.py; generate writes them unless "
+                "--no-masks is given"
+            )
 
 
 def read_rgb(image: BopImage) -> np.ndarray:

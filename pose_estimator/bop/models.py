@@ -16,6 +16,7 @@ from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
 from ...core.files import write_atomically
 from .fields import MM
+from .symmetries import split_continuous
 from .writer import encode_image, write_json
 
 EVALUATION_FACES = 1500
@@ -91,11 +92,24 @@ def _infos(objects: Iterable[ObjectModel]) -> dict[str, dict[str, Any]]:
         for name, lengths in (("min", model.vertices.min(axis=0)), ("size", model.extents)):
             entry |= {f"{name}_{x}": float(v) for x, v in zip("xyz", lengths * MM, strict=True)}
         if model.symmetric:
-            symmetries = np.array(model.symmetries[1:], dtype=np.float64)
-            symmetries[:, :3, 3] *= MM
-            entry["symmetries_discrete"] = symmetries.reshape(-1, 16).tolist()
+            entry |= _symmetries(model.symmetries)
         infos[str(model.obj_id)] = entry
     return infos
+
+
+def _symmetries(symmetries: np.ndarray) -> dict[str, Any]:
+    """Returns BOP's fields of symmetry transforms (S, 4, 4), identity first."""
+    discrete, axes = split_continuous(symmetries)
+    fields: dict[str, Any] = {}
+    if len(discrete):
+        discrete = discrete.copy()
+        discrete[:, :3, 3] *= MM
+        fields["symmetries_discrete"] = discrete.reshape(-1, 16).tolist()
+    if len(axes):
+        fields["symmetries_continuous"] = [
+            {"axis": axis[:3].tolist(), "offset": (axis[3:] * MM).tolist()} for axis in axes
+        ]
+    return fields
 
 
 def _textured_ply(model: ObjectModel, texture: str) -> bytes:

@@ -7,12 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from .fields import MM, Place, Report, read_json, read_numbers, refuse, rigid
-
-CONTINUOUS_SYMMETRY_STEPS = 72
-"""Rotations that discretize a continuous symmetry."""
+from .symmetries import MIN_AXIS_LENGTH, all_symmetries, axes_meet
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +22,7 @@ class BopModelInfo:
         minimum: lower corner of the bounding box, (3,), meters.
         extents: sides of the bounding box, (3,), meters.
         discrete: (D, 4, 4) discrete symmetries without the identity, meters.
-        axes: (C, 6) continuous symmetries: axis, and a point on it in meters.
+        axes: (C, 6) continuous symmetries: direction, and a point on the axis in meters.
         mesh_path: its PLY file (in millimeters).
     """
 
@@ -40,19 +37,8 @@ class BopModelInfo:
 
     @cached_property
     def symmetries(self) -> np.ndarray:
-        """Symmetry transforms (S, 4, 4), identity first, meters.
-
-        A continuous symmetry becomes ``CONTINUOUS_SYMMETRY_STEPS`` discrete ones.
-        """
-        found = [np.eye(4), *self.discrete]
-        angles = np.linspace(0, 2 * np.pi, CONTINUOUS_SYMMETRY_STEPS, endpoint=False)[1:]
-        for axis, offset in zip(self.axes[:, :3], self.axes[:, 3:], strict=True):
-            vectors = angles[:, None] * axis / np.linalg.norm(axis)
-            rotations = np.tile(np.eye(4), (len(angles), 1, 1))
-            rotations[:, :3, :3] = Rotation.from_rotvec(vectors).as_matrix()
-            rotations[:, :3, 3] = offset - rotations[:, :3, :3] @ offset
-            found = [*found, *(T @ rotation for T in found for rotation in rotations)]
-        return np.stack(found)
+        """Symmetry transforms (S, 4, 4), identity first, meters; see `all_symmetries`."""
+        return all_symmetries(self.discrete, self.axes)
 
 
 def read_models_info(root: str | Path, folder: str = "models") -> dict[int, BopModelInfo]:
@@ -108,10 +94,7 @@ def _read_entry(obj_id: int, entry: Mapping[str, Any], path: Path, report: Repor
     discrete = read_numbers(rows, "symmetries_discrete", 16, path, places, report)
     discrete = discrete.reshape(-1, 4, 4)
     discrete[:, :3, 3] /= MM
-    continuous = listed("symmetries_continuous")
-    places = [place] * len(continuous)
-    axis = read_numbers(continuous, "axis", 3, path, places, report)
-    offset = read_numbers(continuous, "offset", 3, path, places, report) / MM
+    axes = _read_axes(listed("symmetries_continuous"), obj_id, path, report)
     return BopModelInfo(
         obj_id=obj_id,
         name=entry.get("name"),
@@ -119,6 +102,31 @@ def _read_entry(obj_id: int, entry: Mapping[str, Any], path: Path, report: Repor
         minimum=length("min_x", "min_y", "min_z"),
         extents=length("size_x", "size_y", "size_z"),
         discrete=discrete,
-        axes=np.concatenate([axis, offset], axis=1),
+        axes=axes,
         mesh_path=path.parent / f"obj_{obj_id:06d}.ply",
     )
+
+
+def _read_axes(continuous: list[Any], obj_id: int, path: Path, report: Report) -> np.ndarray:
+    """Returns axes (C, 6) of continuous symmetries; NaN where invalid."""
+    name = "symmetries_continuous"
+    places = [Place(entry=f"object {obj_id}, {name} {i}") for i in range(len(continuous))]
+    axis = read_numbers(continuous, "axis", 3, path, places, report)
+    offset = read_numbers(continuous, "offset", 3, path, places, report) / MM
+    axes = np.concatenate([axis, offset], axis=1)
+    for i in np.flatnonzero(np.linalg.norm(axis, axis=1) <= MIN_AXIS_LENGTH).tolist():
+        report(
+            path, name, "has no axis", place=places[i],
+            detail=f"object {obj_id}, number {i}: axis {' '.join(f'{v:g}' for v in axis[i])}",
+            cause="it was left empty", remedy="give a direction such as 0 0 1, or remove the entry",
+        )  # fmt: skip
+        axes[i] = np.nan
+    if not axes_meet(axes[~np.isnan(axes).any(axis=1)]):
+        report(
+            path, name, "has axes that do not meet", place=Place(entry=f"object {obj_id}"),
+            detail=f"object {obj_id}: {len(axes)} axes",
+            cause="an offset is of another axis, or not in millimeters",
+            remedy="give the points through which the axes pass; a sphere's meet in its center",
+        )  # fmt: skip
+        axes[1:] = np.nan
+    return axes

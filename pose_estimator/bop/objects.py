@@ -1,7 +1,7 @@
 """The objects of a BOP dataset for evaluation: points, diameters, symmetries."""
 
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,12 @@ from .fields import MM
 from .models_info import BopModelInfo, read_models_info
 
 _FOLDERS = ("models_eval", "models")
+
+PLAUSIBLE_DIAMETERS = (0.003, 5.0)
+"""Range of objects' diameters in meters; others are in another unit."""
+
+SAME_DIAMETER = 0.1
+"""Relative difference within which two diameters are those of one object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +87,11 @@ def has_models(root: str | Path) -> bool:
     return any((Path(root) / name).is_dir() for name in _FOLDERS)
 
 
+def info_folder(root: str | Path) -> str:
+    """Returns the folder of the ``models_info.json`` by which errors are measured."""
+    return next((n for n in _FOLDERS if (Path(root) / n / "models_info.json").is_file()), "models")
+
+
 def dataset_objects(
     root: str | Path, obj_ids: Collection[int] | None = None, *, ignore_unknown: bool = False
 ) -> dict[int, EvaluationObject]:
@@ -98,35 +109,59 @@ def dataset_objects(
         obj_id -> object, ascending.
 
     Raises:
-        InputError: if there are no models, one is missing or invalid, or its diameter is not that
-            of ``models_info.json``.
+        InputError: if there are no models, one is missing or invalid, its diameter is implausible,
+            or not that of ``models_info.json``, or the two folders have different diameters.
     """
     root = Path(root)
     folder = next((name for name in _FOLDERS if (root / name).is_dir()), None)
     if folder is None:
-        raise InputError(
-            f"{root} has neither models_eval nor models: extract the dataset's models there"
-        )
-    info_folder = folder if (root / folder / "models_info.json").is_file() else "models"
-    infos = read_models_info(root, info_folder)
+        others = ", ".join(sorted(path.name for path in root.glob("models_*") if path.is_dir()))
+        hint = f"rename one of its folders {others}" if others else "extract its models there"
+        raise InputError(f"{root} has neither models_eval nor models: {hint}")
+    infos = read_models_info(root, info_folder(root))
     wanted = sorted(infos if obj_ids is None else set(obj_ids))
     if ignore_unknown:
         wanted = [obj_id for obj_id in wanted if obj_id in infos]
     if unknown := [obj_id for obj_id in wanted if obj_id not in infos]:
+        path = root / info_folder(root) / "models_info.json"
         raise InputError(
-            f"{root / info_folder / 'models_info.json'} does not describe object {unknown[0]}; it "
-            f"has {', '.join(map(str, sorted(infos)))}"
+            f"{path} does not describe object {unknown[0]}; it has "
+            f"{', '.join(map(str, sorted(infos)))}"
         )
-    return {i: _object(infos[i], root / folder / infos[i].mesh_path.name) for i in wanted}
+    found = {i: _object(infos[i], root / folder / infos[i].mesh_path.name) for i in wanted}
+    if info_folder(root) == "models_eval" and (root / "models" / "models_info.json").is_file():
+        _compare_diameters(root, infos, wanted)
+    return found
+
+
+def _compare_diameters(root: Path, infos: Mapping[int, BopModelInfo], wanted: list[int]) -> None:
+    """Raises where ``models_eval`` and ``models`` have different diameters of one object."""
+    others = read_models_info(root)
+    for obj_id in wanted:
+        if obj_id not in others:
+            continue
+        measured, other = infos[obj_id].diameter, others[obj_id].diameter
+        if not abs(measured / other - 1) <= SAME_DIAMETER:
+            raise InputError(
+                f"object {obj_id} is {measured * MM:g} mm across in {root / 'models_eval'}, and "
+                f"{other * MM:g} mm in models; both must be in millimeters, see check-data"
+            )
 
 
 def _object(info: BopModelInfo, path: Path) -> EvaluationObject:
     points = _read_vertices(path)
     measured = surface.diameter(points)
-    if not 0.9 < measured / info.diameter < 1.1:
+    if not abs(measured / info.diameter - 1) < SAME_DIAMETER:
         raise InputError(
             f"{path} has a diameter of {measured * MM:g} mm, but models_info.json says "
             f"{info.diameter * MM:g} mm; both must be in millimeters"
+        )
+    low, high = PLAUSIBLE_DIAMETERS
+    if not low <= measured <= high:
+        unit = "meters" if measured < low else "another unit"
+        raise InputError(
+            f"{path} is {measured * MM:g} mm across, read as millimeters; it seems to be in "
+            f"{unit}: scale its vertices and models_info.json to millimeters, see check-data"
         )
     return EvaluationObject(
         obj_id=info.obj_id,

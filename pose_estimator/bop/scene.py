@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from .fields import REPAIR, Place, Report, read_json, read_numbers, read_transforms, refuse
+from .layouts import other_layout
 
 UNKNOWN = -(2**31)
 """Stands for an invalid object id."""
@@ -105,12 +106,20 @@ def image_folder(scene: Path) -> Path:
 
 
 def read_scene(folder: Path, scene_id: int, report: Report = refuse) -> Scene | None:
-    """Reads one scene; returns None where its scene_camera.json is invalid.
+    """Reads one scene; returns None where its scene_camera.json is invalid, or of several cameras.
 
     Raises:
         InputError: by the default ``report``, where a field is invalid or a file is missing.
     """
     path, gt_path = folder / "scene_camera.json", folder / "scene_gt.json"
+    if not path.exists() or not image_folder(folder).is_dir():
+        other = other_layout(folder)
+        if other is not None:
+            report(
+                folder / "rgb" if path.exists() else path, "file", other.problem,
+                place=Place(scene_id), detail=other.remedy, remedy=other.remedy,
+            )  # fmt: skip
+            return None
     cameras = read_json(path, dict, report)
     poses = (read_json(gt_path, dict, report) if gt_path.exists() else None) or {}
     if cameras is None:

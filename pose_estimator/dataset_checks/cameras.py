@@ -6,9 +6,9 @@ import numpy as np
 
 from ...core.geometry import check_intrinsics
 from ..bop.fields import ROTATION_TOLERANCE, Place, read_json, read_numbers, rotation_errors
+from ..bop.pose_mistakes import WRITE_K
 from ..bop.scene import Scene
 from .findings import Finding, Findings, Severity
-from .pose_mistakes import WRITE_K
 
 MIDDLE = (0.25, 0.75)
 """Range of a plausible principal point, as fractions of the image's sides."""

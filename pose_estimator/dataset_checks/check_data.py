@@ -8,8 +8,9 @@ from rich.text import Text
 
 from ...core.results import write_results
 from ..bop.find_dataset import find_dataset
-from .checks import counted, find_mistakes
+from .checks import find_mistakes
 from .config import CheckDataConfig
+from .coverage import counted
 from .findings import Findings, Group
 from .overlays import draw_overlays
 
@@ -24,11 +25,13 @@ def check_data(config: CheckDataConfig) -> int:
         InputError: if there is no such dataset, or an option is wrong.
     """
     root = find_dataset(config.data)
-    findings, wrong, summary = find_mistakes(config, root)
+    findings, wrong, coverage = find_mistakes(config, root)
     console = Console(highlight=False)
     print_findings(findings, root, console)
     errors, warnings = findings.count("error"), findings.count("warning")
-    console.print(f"{root}: {summary}", soft_wrap=True)
+    console.print(f"{root}: {coverage}", soft_wrap=True)
+    for note in coverage.notes():
+        console.print(f"not checked: {note}", soft_wrap=True)
     console.print(f"{counted(errors, 'error')}, {counted(warnings, 'warning')}")
     if config.out is not None:
         for path in draw_overlays(wrong, config.out, config.overlays):
@@ -37,6 +40,7 @@ def check_data(config: CheckDataConfig) -> int:
         records = [
             {"metric": "errors", "value": errors, "unit": "1"},
             {"metric": "warnings", "value": warnings, "unit": "1"},
+            *coverage.records(),
             *findings.records(),
         ]
         write_results(config.json, records, command=f"check-data {root.name}", seed=None)

@@ -14,10 +14,12 @@ from ..bop.scene import Scene, read_scene
 from .boxes import check_info
 from .cameras import check_cameras, read_camera_size
 from .config import CheckDataConfig
+from .coverage import Coverage
 from .files import check_files
 from .findings import Findings
 from .images import ImageCheck
-from .meshes import read_models
+from .meshes import EVALUATION, MODELS, CheckedModel, read_models
+from .model_folders import check_folders
 from .models import check_models
 from .pairs import check_pairs, check_world
 from .poses import check_poses
@@ -26,33 +28,35 @@ from .projection import Projection, explain, report
 T = TypeVar("T")
 
 
-def find_mistakes(config: CheckDataConfig, root: Path) -> tuple[Findings, list[Projection], str]:
-    """Returns all findings, the wrong projections, and a summary of what was checked."""
+def find_mistakes(
+    config: CheckDataConfig, root: Path
+) -> tuple[Findings, list[Projection], Coverage]:
+    """Returns all findings, the wrong projections, and what was checked."""
     findings = Findings()
-    models = read_models(root, findings)
-    check_models(models.values(), findings)
+    models = _check_all_models(read_models(root, findings), findings)
     check = ImageCheck(models, read_camera_size(root, findings), findings)
     pairs = _read_pairs(root / PAIRS_FILE, findings)
     folders = _scene_folders(config, root, findings)
-    read = _check_scenes(config, folders, check, root / PAIRS_FILE, pairs)
+    check.coverage.objects = len(models)
+    _check_scenes(config, folders, check, root / PAIRS_FILE, pairs)
     wrong = explain(check.suspects)
     report(wrong, findings)
     check.depth.report(findings)
-    summary = (
-        f"{counted(len(models), 'object')}, {counted(read, 'scene')}; checked "
-        f"{counted(check.checked, 'image')}, compared {counted(check.projected, 'projection')}"
-    )
-    if check.skipped:
-        summary += (
-            f"\nCamera poses and pairs of {counted(check.skipped, 'scene')} were not checked: "
-            "most object poses are wrong. Correct these first, and check again"
-        )
-    return findings, wrong, summary
+    return findings, wrong, check.coverage
 
 
-def counted(number: int, noun: str) -> str:
-    """Returns number and noun, such as "1 scene" and "2 scenes"."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+def _check_all_models(
+    folders: Mapping[str, Mapping[int, CheckedModel]], findings: Findings
+) -> dict[int, CheckedModel]:
+    """Checks the folders of models; returns the objects, where possible those with colors."""
+    models, evaluation = folders.get(MODELS), folders.get(EVALUATION)
+    if models is not None:
+        check_models(models.values(), findings)
+    if evaluation is not None:
+        check_models(evaluation.values(), findings, colored=models is None)
+    if models and evaluation:
+        check_folders(models, evaluation, findings)
+    return {**(evaluation or {}), **(models or {})}
 
 
 def _read_pairs(path: Path, findings: Findings) -> dict[int, BopPair]:
@@ -98,15 +102,14 @@ def _scene_folders(
 def _check_scenes(
     config: CheckDataConfig, folders: dict[str, list[Path]], check: ImageCheck,
     pairs_path: Path, pairs: Mapping[int, BopPair],
-) -> int:  # fmt: skip
-    """Checks all scenes; returns the number of readable ones."""
+) -> None:  # fmt: skip
+    """Checks all scenes."""
     # Each scene with its number of images to check: 0 = all, -1 = none.
     work: list[tuple[Path, int]] = []
     for scenes in folders.values():
         looked = set(_spread(scenes, config.images))
         share = -(-config.images // max(1, len(scenes))) if config.images else 0
         work += [(folder, share if folder in looked else -1) for folder in scenes]
-    read = 0
     paired = _split_of_pairs(pairs_path, pairs, check.findings)
     with tqdm(total=sum(_expected(*job) for job in work), desc="checking", unit="image") as bar:
         for number, (folder, share) in enumerate(work, start=1):
@@ -114,14 +117,13 @@ def _check_scenes(
             scene = read_scene(folder, int(folder.name), check.findings.error)
             if scene is None:
                 continue
-            read += 1
+            check.coverage.add(scene)
             reliable = _check_scene(scene, share, check, bar)
             if reliable is not None:
                 check_world(scene, reliable, check.findings)
                 if folder.parent == paired:
                     own = {n: p for n, p in pairs.items() if p.scene_id == scene.scene_id}
                     check_pairs(pairs_path, own, scene, check.models, reliable, check.findings)
-    return read
 
 
 def _split_of_pairs(path: Path, pairs: Mapping[int, BopPair], findings: Findings) -> Path | None:
@@ -172,7 +174,7 @@ def _check_scene(scene: Scene, share: int, check: ImageCheck, bar: tqdm) -> np.n
         wrong, compared = wrong + counts[0], compared + counts[1]
         bar.update()
     if 2 * wrong > compared:
-        check.skipped += 1
+        check.coverage.skipped += 1
         return None
     return reliable
 

@@ -12,6 +12,7 @@ from ...core.images import read_image
 from ..bop.fields import MM, Place, rigid
 from ..bop.scene import Scene
 from .boxes import check_mask
+from .coverage import Coverage
 from .depth import DepthCheck
 from .findings import Findings
 from .meshes import CheckedModel
@@ -29,9 +30,7 @@ class ImageCheck:
         findings: receives the findings.
         depth: the comparison of the depth maps.
         suspects: projections with a low score.
-        checked: number of images checked.
-        projected: number of projections compared.
-        skipped: number of scenes with mostly wrong poses, whose cameras and pairs are not checked.
+        coverage: counts what was checked.
     """
 
     models: Mapping[int, CheckedModel]
@@ -39,9 +38,7 @@ class ImageCheck:
     findings: Findings
     depth: DepthCheck = field(default_factory=DepthCheck)
     suspects: list[Projection] = field(default_factory=list)
-    checked: int = 0
-    projected: int = 0
-    skipped: int = 0
+    coverage: Coverage = field(default_factory=Coverage)
 
     def check(self, scene: Scene, image_id: int, valid: np.ndarray) -> tuple[int, int]:
         """Checks one image; ``valid``, bool (N,), are the scene's annotations with a valid pose.
@@ -53,7 +50,7 @@ class ImageCheck:
         rgb = self._open(image_path, "RGB", place)
         if rgb is None:
             return 0, 0
-        self.checked += 1
+        self.coverage.images += 1
         shape = (rgb.shape[0], rgb.shape[1])
         expected = self.camera_size
         if expected is not None and shape != expected:
@@ -74,7 +71,7 @@ class ImageCheck:
             score = self._annotation(scene, row, shape, K, depth, bool(valid[row]))
             wrong += score is not None and score < FAIR
             compared += score is not None
-        self.projected += compared
+        self.coverage.projections += compared
         return wrong, compared
 
     def _annotation(

@@ -1,6 +1,6 @@
-"""Reads a dataset's possibly invalid meshes and ``models_info.json``."""
+"""Reads a dataset's possibly invalid meshes and ``models_info.json``, in both folders."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import fast_simplification
@@ -43,6 +43,15 @@ class CheckedModel:
         return self.info.obj_id
 
     @property
+    def bounds(self) -> np.ndarray:
+        """Lower and upper corner of the mesh's bounding box, (2, 3), meters."""
+        if self.mesh is None:
+            return np.full((2, 3), np.nan)
+        if len(self.mesh.faces):
+            return np.asarray(self.mesh.bounds)
+        return np.stack([self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)])
+
+    @property
     def equivalents(self) -> np.ndarray:
         """Discrete symmetry transforms (S, 4, 4), identity first."""
         discrete = self.info.discrete
@@ -50,38 +59,62 @@ class CheckedModel:
         return np.concatenate([np.eye(4)[None], good])
 
 
-def read_models(root: Path, findings: Findings) -> dict[int, CheckedModel]:
-    """Returns obj_id -> object of ``models`` (or, without that folder, ``models_eval``)."""
-    folders = [root / name for name in ("models", "models_eval") if (root / name).is_dir()]
+MODELS, EVALUATION = "models", "models_eval"
+"""Folders of the meshes with colors, and of those on which errors are measured."""
+
+
+def read_models(root: Path, findings: Findings) -> dict[str, dict[int, CheckedModel]]:
+    """Returns folder -> obj_id -> object, of ``models`` and of ``models_eval``."""
+    folders = [root / name for name in (MODELS, EVALUATION) if (root / name).is_dir()]
     if not folders:
-        findings.error(
-            root / "models", "folder", "the dataset has no models",
-            cause="BOP datasets have their models in a separate download (..._models.zip)",
+        others = sorted(path.name for path in root.glob("models_*") if path.is_dir())
+        cause = f"the models are in {', '.join(others)}" if others else (
+            "BOP datasets have their models in a separate download (..._models.zip)"
+        )  # fmt: skip
+        findings.warning(
+            root / MODELS, "folder", "the dataset has no models", cause=cause,
             remedy="add models/obj_000001.ply and so on, and models/models_info.json",
         )  # fmt: skip
-        return {}
-    path = folders[0] / "models_info.json"
-    infos = read_entries(path, findings.error)
-    for mesh in sorted(folders[0].glob("obj_*.ply")):
+    return {folder.name: _read_folder(folder, findings) for folder in folders}
+
+
+def _read_folder(folder: Path, findings: Findings) -> dict[int, CheckedModel]:
+    """Returns obj_id -> object of one folder of models."""
+    path = folder / "models_info.json"
+    described = folder.parent / MODELS / path.name
+    if folder.name == EVALUATION and not path.is_file() and described.is_file():
+        path = described  # it is reported with that folder
+        infos = {
+            obj_id: replace(info, mesh_path=folder / info.mesh_path.name)
+            for obj_id, info in read_entries(path, Findings().error).items()
+        }
+    else:
+        infos = read_entries(path, findings.error)
+    for mesh in sorted(folder.glob("obj_*.ply")):
         number = mesh.stem.removeprefix("obj_")
         if infos and number.isdigit() and int(number) not in infos:
             findings.warning(
-                path, "keys", "a mesh is not described", detail=mesh.name,
+                path, "keys", "a mesh is not described", detail=f"{folder.name}/{mesh.name}",
                 remedy="add its diameter, minimum and size to models_info.json",
             )  # fmt: skip
-    return {obj_id: _read_model(info, path, findings.error) for obj_id, info in infos.items()}
+    # Errors need the vertices only.
+    faces = folder.name != EVALUATION or not (folder.parent / MODELS).is_dir()
+    return {
+        obj_id: _read_model(info, path, findings.error, faces=faces)
+        for obj_id, info in infos.items()
+    }
 
 
-def _read_model(info: BopModelInfo, path: Path, report: Report) -> CheckedModel:
-    mesh = _read_mesh(info.mesh_path, report)
+def _read_model(info: BopModelInfo, path: Path, report: Report, *, faces: bool) -> CheckedModel:
+    mesh = _read_mesh(info.mesh_path, report, faces=faces)
     if mesh is None:
         return CheckedModel(info, path, None, np.empty((0, 3)), np.empty((0, 3), np.int32), np.nan)
     measured = surface.diameter(np.asarray(mesh.vertices))
     return CheckedModel(info, path, mesh, *_decimate(mesh), measured)
 
 
-def _read_mesh(path: Path, report: Report) -> trimesh.Trimesh | None:
-    """Returns the mesh in meters, or None."""
+def _read_mesh(path: Path, report: Report, *, faces: bool) -> trimesh.Trimesh | None:
+    """Returns the mesh in meters, or None; ``faces``: whether points alone are an error."""
     if not path.is_file():
         report(
             path, "file", "an object has no mesh", detail=f"{path.name} is missing",
@@ -89,12 +122,14 @@ def _read_mesh(path: Path, report: Report) -> trimesh.Trimesh | None:
         )  # fmt: skip
         return None
     try:
-        mesh = trimesh.load_mesh(path, process=False)
-        if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+        mesh = trimesh.load(path, process=False)
+        if isinstance(mesh, trimesh.PointCloud) and not faces:
+            mesh = trimesh.Trimesh(mesh.vertices, process=False)
+        if not isinstance(mesh, trimesh.Trimesh) or (faces and not len(mesh.faces)):
             raise InputError("no faces: a surface is needed, not points")
         if not np.isfinite(mesh.vertices).all():
             raise InputError("NaN or infinite coordinates")
-        if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        if len(mesh.faces) and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
             raise InputError("faces with invalid vertex indices")
         mesh.apply_scale(1 / MM)
         surface.diameter(np.asarray(mesh.vertices))

@@ -9,13 +9,14 @@ from scipy.spatial.transform import Rotation
 
 from ...assets.surface_colors import sample_colors
 from ...core.geometry import make_transform
+from ..bop.fields import MM
+from ..bop.objects import PLAUSIBLE_DIAMETERS
 from .cameras import rigid_or_nan
 from .findings import Findings
 from .meshes import CheckedModel
+from .units import format_length, unit_of_factor
 
-SIZES = (0.003, 5.0)
-"""Range of plausible object diameters, meters."""
-
+SIZES = PLAUSIBLE_DIAMETERS
 SAME_SIZE = 0.03
 SAME_SURFACE = 0.01
 OTHER_SURFACE = 0.05
@@ -23,17 +24,31 @@ OTHER_SURFACE = 0.05
 
 SAME_COLOR = 0.05
 _POINTS = 600
-_DENSE = 20_000
+DENSE_POINTS = 20_000
+"""Points of a surface to measure distances from it."""
+
+TURNS = (90.0, 137.5, 68.75)
+"""Turns in degrees that test a continuous symmetry: no prism looks the same after all of them."""
+
+MAX_LISTED = 100
+"""Discrete symmetries of an object to check; more are a continuous one in many steps."""
 
 
-def check_models(models: Iterable[CheckedModel], findings: Findings) -> None:
-    """Checks every object on its own."""
+def check_models(
+    models: Iterable[CheckedModel], findings: Findings, *, colored: bool = True
+) -> None:
+    """Checks every object on its own.
+
+    Without color, as in ``models_eval``, objects look symmetric that are not: then only those
+    symmetries are checked that are listed.
+    """
     for model in models:
         if model.mesh is None:
             continue
         if _check_units(model, findings):
             _check_sizes(model, findings)
-        _check_symmetries(model, model.mesh, findings)
+        if len(model.mesh.faces):
+            _check_symmetries(model, model.mesh, findings, missing=colored)
 
 
 def _check_units(model: CheckedModel, findings: Findings) -> bool:
@@ -44,7 +59,7 @@ def _check_units(model: CheckedModel, findings: Findings) -> bool:
     small, path = model.measured < low, model.info.mesh_path
     findings.error(
         path, "vertices", "the mesh is too small" if small else "the mesh is too large",
-        detail=f"{path.name} is {_length(model.measured)} across, read as millimeters",
+        detail=f"{path.name} is {format_length(model.measured)} across, read as millimeters",
         cause="it is in meters; BOP has millimeters" if small else "it is not in millimeters",
         remedy="multiply the vertices by 1000" if small else "scale the vertices to millimeters",
     )  # fmt: skip
@@ -53,25 +68,24 @@ def _check_units(model: CheckedModel, findings: Findings) -> bool:
 
 def _check_sizes(model: CheckedModel, findings: Findings) -> None:
     """Compares diameter and bounding box with the mesh."""
-    assert model.mesh is not None
     name = f"object {model.obj_id}"
     ratio = model.info.diameter / model.measured
     if np.isfinite(ratio) and not 1 - SAME_SIZE <= ratio <= 1 + SAME_SIZE:
         findings.error(
             model.info_path, "diameter", "differs from the mesh",
-            detail=f"{name}: {_length(model.info.diameter)}, the mesh has "
-            f"{_length(model.measured)}",
+            detail=f"{name}: {format_length(model.info.diameter)}, the mesh has "
+            f"{format_length(model.measured)}",
             cause=_wrong_unit(ratio) or "the mesh was scaled or replaced afterwards",
             remedy="write the largest distance between two vertices in millimeters",
         )  # fmt: skip
     given = np.stack([model.info.minimum, model.info.extents])
-    found = np.stack([model.mesh.bounds[0], model.mesh.extents])
+    found = np.stack([model.bounds[0], np.ptp(model.bounds, axis=0)])
     off = np.abs(given - found).max()
     if np.isfinite(off) and off > SAME_SIZE * model.measured:
         ratio = float(np.median(model.info.extents / np.maximum(found[1], 1e-12)))
         findings.error(
             model.info_path, "min_x ... size_z", "the bounding box differs from the mesh",
-            detail=f"{name}: off by up to {_length(off)}",
+            detail=f"{name}: off by up to {format_length(off)}",
             cause=_wrong_unit(ratio) or "the mesh was moved, rotated or replaced afterwards, so "
             "that poses are of another frame",
             remedy="write minimum and size of the vertices in millimeters",
@@ -79,15 +93,21 @@ def _check_sizes(model: CheckedModel, findings: Findings) -> None:
 
 
 def _wrong_unit(ratio: float) -> str:
-    """Returns the cause of a length that is wrong by a factor of about 1000, else nothing."""
-    if 0.0008 < ratio < 0.0012:
-        return "it is in meters; BOP has millimeters"
-    return "it was scaled by 1000 twice" if 800 < ratio < 1200 else ""
+    """Returns the cause of a length that is ``ratio`` times that of the mesh, else nothing."""
+    if (unit := unit_of_factor(ratio)) is not None:
+        return f"it is in {unit[0]}; BOP has millimeters"
+    if 800 < ratio < 1200:
+        return "it was scaled by 1000 twice"
+    if (unit := unit_of_factor(1 / max(ratio, 1e-12))) is not None:
+        return f"the mesh is in {unit[0]}; BOP has millimeters"
+    return ""
 
 
-def _check_symmetries(model: CheckedModel, mesh: trimesh.Trimesh, findings: Findings) -> None:
+def _check_symmetries(
+    model: CheckedModel, mesh: trimesh.Trimesh, findings: Findings, *, missing: bool
+) -> None:
     points, _, colors = sample_colors([mesh], _POINTS)
-    dense, _, dense_colors = sample_colors([mesh], _DENSE)
+    dense, _, dense_colors = sample_colors([mesh], DENSE_POINTS)
     tree = KDTree(dense)
 
     def moved(T: np.ndarray) -> tuple[float, float]:
@@ -96,25 +116,59 @@ def _check_symmetries(model: CheckedModel, mesh: trimesh.Trimesh, findings: Find
         color = np.abs(dense_colors[nearest] - colors).mean()
         return float(distance.mean()) / model.measured, float(color)
 
-    listed = {f"symmetries_discrete, number {i}": T for i, T in enumerate(model.info.discrete)}
+    discrete = model.info.discrete
+    if len(discrete) > MAX_LISTED:
+        findings.warning(
+            model.info_path, "symmetries_discrete", "lists very many symmetries",
+            detail=f"object {model.obj_id}: {len(discrete)}, of which {MAX_LISTED} were checked",
+            cause="a continuous symmetry was written in small steps",
+            remedy="write its axis and offset as symmetries_continuous instead",
+        )  # fmt: skip
+    chosen = np.linspace(0, len(discrete) - 1, min(len(discrete), MAX_LISTED)).astype(int)
+    listed = {f"symmetries_discrete, number {i}": discrete[i] for i in chosen.tolist()}
     for i, (x, y, z, *offset) in enumerate(model.info.axes):
-        T = _rotation_about(np.array([x, y, z]), np.array(offset), 90)
-        listed[f"symmetries_continuous, number {i}"] = T
+        axis, point = np.array([x, y, z]), np.array(offset)
+        turned = [_rotation_about(axis, point, degrees) for degrees in TURNS]
+        farthest = max(turned, key=lambda T: 0 if np.isnan(T).any() else moved(T)[0])
+        listed[f"symmetries_continuous, number {i}"] = farthest
     for name, T in listed.items():
         _check_listed(model, name, T, moved, findings)
-    if listed:
+    if listed or not missing:
         return
-    center = mesh.bounds.mean(axis=0)
-    for axis, direction in zip("xyz", np.eye(3), strict=True):
-        distance, color = moved(_rotation_about(direction, center, 180))
-        if distance < SAME_SURFACE and color < SAME_COLOR:
-            findings.warning(
-                model.info_path, "symmetries_discrete", "a symmetry is missing",
-                detail=f"object {model.obj_id} is symmetric under a half turn about {axis}",
-                cause="equal views have different poses, so that training data is ambiguous",
-                remedy="add symmetries_discrete or symmetries_continuous to models_info.json",
-            )  # fmt: skip
-            return
+    _check_missing(model, mesh.bounds.mean(axis=0), moved, findings)
+
+
+def _check_missing(
+    model: CheckedModel,
+    center: np.ndarray,
+    moved: Callable[[np.ndarray], tuple[float, float]],
+    findings: Findings,
+) -> None:
+    """Reports that an object looks the same after turns about its center, and lists none."""
+
+    def same(direction: np.ndarray, degrees: float) -> bool:
+        distance, color = moved(_rotation_about(direction, center, degrees))
+        return distance < SAME_SURFACE and color < SAME_COLOR
+
+    axes = dict(zip("xyz", np.eye(3), strict=True))
+    halves = [axis for axis, direction in axes.items() if same(direction, 180)]
+    if not halves:
+        return
+    every = [axis for axis in halves if all(same(axes[axis], degrees) for degrees in TURNS)]
+    if every:
+        point = " ".join(f"{MM * x:.4g}" for x in center)
+        shape = "a sphere" if len(every) == 3 else "a body of revolution"
+        about = f"every turn about {', '.join(every)}: it is {shape} around {point} mm"
+        field, remedy = "symmetries_continuous", "add axis and offset as symmetries_continuous"
+    else:
+        about, field = f"a half turn about {halves[0]}", "symmetries_discrete"
+        remedy = "add symmetries_discrete to models_info.json"
+    findings.warning(
+        model.info_path, field, "a symmetry is missing",
+        detail=f"object {model.obj_id} is symmetric under {about}",
+        cause="equal views have different poses, so that training data is ambiguous",
+        remedy=remedy,
+    )  # fmt: skip
 
 
 def _check_listed(
@@ -127,12 +181,7 @@ def _check_listed(
     """Whether a listed symmetry is a motion that maps the object onto itself."""
     field = name.split(",")[0]
     if np.isnan(T).any():
-        if field == "symmetries_continuous":
-            findings.error(
-                model.info_path, field, "has no axis", detail=f"object {model.obj_id}, {name}",
-                remedy="give a direction and a point on the axis",
-            )  # fmt: skip
-        return
+        return  # it is a finding already
     rotation = T[:3, :3]
     if not rigid_or_nan(T[None])[0]:
         findings.error(
@@ -155,14 +204,8 @@ def _check_listed(
 
 
 def _rotation_about(axis: np.ndarray, offset: np.ndarray, degrees: float) -> np.ndarray:
-    """Returns a rotation about an axis through a point as (4, 4); NaN for a zero axis."""
-    length = np.linalg.norm(axis)
-    if not length > 0:
+    """Returns a rotation about an axis through a point as (4, 4); NaN for an axis of NaN."""
+    if np.isnan([*axis, *offset]).any():
         return np.full((4, 4), np.nan)
-    rotation = Rotation.from_rotvec(np.radians(degrees) * axis / length).as_matrix()
+    rotation = Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis)).as_matrix()
     return make_transform(rotation, offset - rotation @ offset)
-
-
-def _length(meters: float) -> str:
-    """Formats a length."""
-    return f"{meters:.4g} m" if meters >= 1 else f"{1e3 * meters:.4g} mm"

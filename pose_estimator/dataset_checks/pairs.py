@@ -8,11 +8,11 @@ import numpy as np
 from ...core.geometry import invert
 from ..bop.fields import Place
 from ..bop.pairs import BopPair
+from ..bop.pose_mistakes import OPENGL
 from ..bop.scene import Scene
 from .cameras import rigid_or_nan
 from .findings import Findings
 from .meshes import CheckedModel
-from .pose_mistakes import OPENGL
 
 STILL = 0.02
 """Tolerance in meters of a static object's position, in addition to a tenth of its diameter."""

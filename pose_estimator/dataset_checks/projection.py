@@ -9,9 +9,9 @@ import numpy as np
 
 from ...core.geometry import project, transform
 from ..bop.fields import Place
+from ..bop.pose_mistakes import Correction, corrections
 from .findings import Findings
 from .meshes import CheckedModel
-from .pose_mistakes import Correction, corrections
 from .projection_score import Evidence
 
 GOOD, FAIR, POOR = 0.88, 0.7, 0.5

@@ -44,7 +44,8 @@ class EvaluateConfig:
     scenes: int = 520
     """Number of scenes; each object is the target equally often."""
     objects: tuple[str, ...] = ()
-    """Objects of the scenes, by name or path of a mesh; none = all that the weights know."""
+    """Objects of the scenes, by name or path of a mesh; none = all that the weights know. With
+    --data: meshes on whose surface errors are measured where the dataset has no models."""
     seed: int = 1000
     """Random seed of the scenes. Training data has other seeds."""
     data: Path | None = None

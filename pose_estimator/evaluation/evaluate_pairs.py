@@ -1,6 +1,7 @@
 """Runs an estimator on pairs of images with known poses, in batches."""
 
 import time
+from collections import Counter
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple, Protocol
@@ -44,13 +45,48 @@ def target_pairs(
     """
     names = {model.obj_id: name for name, model in objects.items()}
     for pair in pairs:
-        wanted = pair.obj_ids if pair.target_obj_id is None else (pair.target_obj_id,)
-        for obj_id in wanted:
-            key = (pair.scene_id, pair.ref_image_id, obj_id)
-            counts = pair.target_obj_id is not None or targets is None or key in targets
-            within = baselines[0] <= baseline_at(pair, obj_id) <= baselines[1]
-            if obj_id in names and counts and within:
+        for obj_id in _wanted(pair):
+            if why_left_out(pair, obj_id, names, targets, baselines) is None:
                 yield pair, names[obj_id]
+
+
+def count_left_out(
+    pairs: Sequence[BopPair],
+    objects: Mapping[str, ObjectModel],
+    targets: Container[tuple[int, int, int]] | None = None,
+    baselines: tuple[float, float] = (0.0, 180.0),
+) -> Counter[str]:
+    """Returns reason -> number of objects in pairs that `target_pairs` leaves out for it."""
+    names = {model.obj_id: name for name, model in objects.items()}
+    reasons = (
+        why_left_out(pair, obj_id, names, targets, baselines)
+        for pair in pairs
+        for obj_id in _wanted(pair)
+    )
+    return Counter(reason for reason in reasons if reason is not None)
+
+
+def why_left_out(
+    pair: BopPair,
+    obj_id: int,
+    known: Container[int],
+    targets: Container[tuple[int, int, int]] | None,
+    baselines: tuple[float, float],
+) -> str | None:
+    """Returns why an object of a pair does not count, or None; arguments as in `target_pairs`."""
+    if obj_id not in known:
+        return f"of object {obj_id}, which is not among those to estimate"
+    key = (pair.scene_id, pair.ref_image_id, obj_id)
+    if pair.target_obj_id is None and targets is not None and key not in targets:
+        return "not in the dataset's list of targets"
+    if not baselines[0] <= baseline_at(pair, obj_id) <= baselines[1]:
+        return f"not {baselines[0]:g} to {baselines[1]:g} degrees apart"
+    return None
+
+
+def _wanted(pair: BopPair) -> tuple[int, ...]:
+    """Returns the objects that a pair is for: its target, or all if it names none."""
+    return pair.obj_ids if pair.target_obj_id is None else (pair.target_obj_id,)
 
 
 def baseline_at(pair: BopPair, obj_id: int) -> float:

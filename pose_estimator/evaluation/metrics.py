@@ -67,7 +67,7 @@ def add_or_add_s(T_est: np.ndarray, T_true: np.ndarray, object_model: MeasuredOb
     if not len(object_model.points):
         raise InputError(
             f"ADD needs the surface of {object_model.name}, which is not stored with the weights: "
-            "use the object of a mesh file, or a dataset that has models"
+            f"give its mesh, --objects {object_model.name}=FILE, or a dataset that has models"
         )
     if object_model.symmetric:
         return add_s(T_est, T_true, object_model.points, tree=_surface_index(object_model))

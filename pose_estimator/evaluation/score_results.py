@@ -13,6 +13,7 @@ from ..bop.objects import EvaluationObject, dataset_objects
 from ..bop.results import BopResult, read_bop_results
 from ..bop.targets import BopTarget, read_targets
 from .config import EvaluateConfig
+from .explain_results import explain_results
 from .metrics import CORRECT, add_or_add_s
 from .outcomes import Outcome, print_table, summarize
 
@@ -43,6 +44,8 @@ def score_file(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]) -> l
     print(f"{missing} targets have no estimate and count as wrong")
     if extra:
         print(f"{extra} estimates are of no target and do not count")
+    if (mistake := explain_results(results, truths, objects)) is not None:
+        print(f"warning: {mistake}")
     if config.json is not None:
         command = f"evaluate --score {config.score} --data {config.data} --split {config.split}"
         write_results(config.json, records, command=command, seed=config.seed)

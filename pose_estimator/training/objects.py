@@ -1,13 +1,15 @@
 """The objects of a training: those that are requested, else those of the dataset."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ... import assets
 from ...assets.object_model import ObjectModel
+from ...core.errors import InputError
+from ..bop.matching import match_objects
 from ..bop.models_info import BopModelInfo, read_models_info
 from ..bop.objects import load_objects
 
@@ -24,17 +26,30 @@ def training_objects(data: Path, objects: Sequence[str]) -> dict[str, ObjectMode
             the built-in objects where :func:`dataset_models` returns None.
 
     Raises:
-        InputError: if a model cannot be read.
+        InputError: if a model cannot be read, or a requested object is not the dataset's of that
+            number or name.
         FileNotFoundError: if a mesh is missing.
     """
     if objects:
-        return load_objects(list(objects))
+        return _matched(data, load_objects(list(objects)))
     specs = dataset_models(data)
     if specs is None:
         return assets.load_objects(None)
     models = load_objects(specs)
     print(f"objects of {data / 'models'}: {', '.join(models)}")
     return models
+
+
+def _matched(data: Path, objects: Mapping[str, ObjectModel]) -> dict[str, ObjectModel]:
+    """Returns requested objects with the dataset's numbers."""
+    matches = match_objects(data, objects)
+    if matches.different:
+        name, reason = next(iter(matches.different.items()))
+        raise InputError(
+            f"{name} is not in {data}: {reason}; give --objects the dataset's own mesh, such as "
+            f"{name}={data / 'models' / 'obj_000001.ply'}"
+        )
+    return {name: matches.objects.get(name, model) for name, model in objects.items()}
 
 
 def dataset_models(data: Path) -> list[str] | None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...core.errors import InputError
+from ..bop.dataset import read_dataset, require_masks
 from ..bop.find_dataset import find_dataset
 from ..methods import DEFAULT_METHOD, METHOD_TABLE, OPTIONAL_PARTS
 from .config import STAGE_DEFAULTS, TrainEstimatorConfig
@@ -33,6 +34,8 @@ def train_estimator(config: TrainEstimatorConfig) -> Path:
     """
     deadline = time.monotonic() + 60 * config.max_minutes if config.max_minutes else math.inf
     config = replace(config, data=find_dataset(config.data), stages=config.chosen_stages)
+    if not (config.data / f"packed_{config.split}").is_dir():
+        require_masks(read_dataset(config.data, config.split))  # before meshes are read
     from .distributed import process_group, rank_device
 
     device = rank_device(config.device)

@@ -19,7 +19,15 @@ from ...core.errors import InputError
 from ...core.files import write_atomically
 from ...core.geometry import crop_matrix, project
 from ...core.image_crop import warp_crop
-from ..bop.dataset import BopDataset, BopImage, read_dataset, read_depth, read_mask, read_rgb
+from ..bop.dataset import (
+    BopDataset,
+    BopImage,
+    read_dataset,
+    read_depth,
+    read_mask,
+    read_rgb,
+    require_masks,
+)
 from ..networks.detector import DetectorConfig, detector_input
 from .crops import DEPTH_STEP, STORED_SCALE, STORED_SIDE, CropPack, encode_image, open_pack
 
@@ -49,7 +57,7 @@ def pack_dataset(
         split: folder of the scenes.
 
     Raises:
-        InputError: if the dataset has no image of any of the objects.
+        InputError: if the dataset has no image of any of the objects, or no masks.
     """
     dataset = read_dataset(root, split)
     folder = dataset.root / f"packed_{split}"
@@ -61,6 +69,7 @@ def pack_dataset(
         "objects": list(objects),
     }
     if not _is_packed(folder, header):
+        require_masks(dataset)
         (folder / "header.json").unlink(missing_ok=True)
         _pack(dataset, folder, objects)
         write_atomically(folder / "header.json", json.dumps(header).encode())

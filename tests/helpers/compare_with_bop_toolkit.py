@@ -24,8 +24,8 @@ from typing import Any
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
-from two_view_pose.pose_estimator.bop.models_info import CONTINUOUS_SYMMETRY_STEPS
 from two_view_pose.pose_estimator.bop.results import read_bop_results, write_bop_results
+from two_view_pose.pose_estimator.bop.symmetries import CONTINUOUS_SYMMETRY_STEPS
 
 SCENE = "test/000003"
 MIN_VISIBLE = 0.1

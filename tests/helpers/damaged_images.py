@@ -105,7 +105,7 @@ IMAGES = {
         "depth/", "size", "size differs from the image",
     ),
     "no models": Damage(
-        lambda d: shutil.rmtree(d / "models"), "models", "folder", "has no models"
+        lambda d: shutil.rmtree(d / "models"), "models", "folder", "has no models", "warning"
     ),
     "a mesh missing": Damage(
         lambda d: (d / "models/obj_000004.ply").unlink(),
@@ -137,6 +137,21 @@ IMAGES = {
     "missing symmetry": Damage(
         lambda d: set_key("models/models_info.json", "7", "symmetries_discrete", value=[])(d),
         "models_info.json", "symmetries_discrete", "a symmetry is missing", "warning",
+    ),
+    "axis without a direction": Damage(
+        lambda d: set_key("models/models_info.json", "7", "symmetries_continuous", value=[
+            {"axis": [0, 0, 0], "offset": [0, 0, 0]}])(d),
+        "models_info.json", "symmetries_continuous", "has no axis", count=1,
+    ),
+    "axes that do not meet": Damage(
+        lambda d: set_key("models/models_info.json", "7", "symmetries_continuous", value=[
+            {"axis": [0, 0, 1], "offset": [0, 0, 0]}, {"axis": [0, 1, 0], "offset": [9, 0, 0]}])(d),
+        "models_info.json", "symmetries_continuous", "has axes that do not meet",
+    ),
+    "a continuous symmetry in small steps": Damage(
+        lambda d: set_key("models/models_info.json", "7", "symmetries_discrete", value=[
+            np.diag([-1.0, -1, 1, 1]).ravel().tolist()] * 5183)(d),
+        "models_info.json", "symmetries_discrete", "very many symmetries", "warning",
     ),
     "symmetry of another axis": Damage(
         lambda d: set_key("models/models_info.json", "1", "symmetries_discrete", value=[

@@ -8,7 +8,8 @@ import trimesh
 from two_view_pose.assets.object_model import ObjectModel
 from two_view_pose.core.geometry import make_transform
 from two_view_pose.pose_estimator.bop.models import write_models
-from two_view_pose.pose_estimator.bop.models_info import CONTINUOUS_SYMMETRY_STEPS, read_models_info
+from two_view_pose.pose_estimator.bop.models_info import read_models_info
+from two_view_pose.pose_estimator.bop.symmetries import CONTINUOUS_SYMMETRY_STEPS
 
 
 def box_model(obj_id: int = 10, name: str = "crate") -> ObjectModel:

@@ -63,7 +63,7 @@ def check(data: Path, *options: str) -> tuple[int, list[dict[str, Any]]]:
 def test_valid_dataset_has_no_findings(valid, capsys):
     assert check(valid) == (0, [])
     printed = capsys.readouterr().out
-    assert "0 errors, 0 warnings" in printed
+    assert "0 errors, 0 warnings" in printed and "not checked" not in printed
     assert "3 objects, 2 scenes; checked 8 images, compared 24 projections" in printed
 
 
@@ -156,6 +156,44 @@ def test_pairs_are_skipped_where_poses_are_wrong(data, capsys):
     _, records = check(data)
     assert not any(r["field"] == "T_second_ref" for r in records)
     assert "pairs of 2 scenes were not checked" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("remove", "note", "compared"),
+    [
+        (["mask_visib"], "no masks (mask_visib) in 2 of 2 scenes of test; poses are", 24),
+        (["mask_visib", "scene_gt_info.json"], "no pose was compared with an image", 0),
+        (["scene_gt.json", "scene_gt_info.json"], "no poses (scene_gt.json) in 2 of 2 scenes", 0),
+        (["scene_gt_info.json"], "no boxes and visible fractions (scene_gt_info.json) in 2", 24),
+        (["depth"], "no depth maps (depth) in 2 of 2 scenes of test; only rgbd", 24),
+        (["../../models"], "no pose was compared with an image", 0),
+    ],
+)
+def test_what_a_dataset_lacks_is_said_to_be_unchecked(remove, note, compared, data, capsys):
+    for scene in (data / "test").iterdir():
+        for name in remove:
+            path = scene / name
+            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    results = data.parent / "findings.json"
+    assert main(["check-data", str(data), "--json", str(results)]) == 0
+    assert f"not checked: {note}" in capsys.readouterr().out
+    records = json.loads(results.read_text())["records"]
+    assert any(r["metric"] == "not_checked" and note in r["problem"] for r in records)
+    counts = {r["metric"]: r["value"] for r in records}
+    assert counts["projections_compared"] == compared and counts["images_checked"] == 8
+
+
+def test_training_without_masks_stops_at_once(data, tmp_path, capsys, monkeypatch):
+    shutil.rmtree(data / SCENE / "mask_visib")
+
+    def read_meshes(*_: object) -> None:
+        raise AssertionError("the meshes take longest")
+
+    where = "two_view_pose.pose_estimator.training.train_estimator.training_objects"
+    monkeypatch.setattr(where, read_meshes)
+    command = ["train-estimator", "--data", str(data), "--split", "test", "--out", str(tmp_path)]
+    assert main(command) == 2
+    assert "000003 has no masks (mask_visib), which training needs" in capsys.readouterr().err
 
 
 def test_images_and_scenes_are_sampled(data, capsys):

@@ -7,7 +7,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 from helpers.study_cases import Oracle, only_record
+from two_view_pose.core.errors import InputError
 from two_view_pose.core.geometry import make_transform
 from two_view_pose.core.results import read_results
 from two_view_pose.pose_estimator.bop.dataset import BopDataset, read_dataset, read_pairs
@@ -114,6 +116,69 @@ def test_poses_of_the_reference_views_are_written_once_each(
         truth = opened.scene(result.scene_id)[0].annotation(3)
         np.testing.assert_allclose(result.T_cam_obj, truth.T_cam_obj, atol=1e-9)
         assert result.score == 1.0 and result.seconds > 0
+
+
+def test_what_is_left_out_is_said(opened, dataset, boxes, loaded, tmp_path, capsys):
+    """The dataset's crate is another object than the weights' of that number."""
+    oracle, _ = loaded(opened)
+    crate = replace(boxes["crate"], vertices=1.3 * boxes["crate"].vertices)
+    other = replace(boxes["brick"], name="other", obj_id=55)
+    oracle.networks.objects = {"brick": boxes["brick"], "crate": crate, "other": other}
+    pairs = read_pairs(dataset)
+    free = [replace(pair, target_obj_id=None) for pair in pairs[:2]]
+    write_pairs(tmp_path / "pairs.json", [*free, *pairs[2:]])
+    config = EvaluateConfig(
+        split="train_pbr", data=dataset, pairs=tmp_path / "pairs.json", baselines=(0, 30)
+    )
+    records = evaluate_dataset(config, dataset, {})
+    assert {r["object"] for r in records if "object" in r} == {"brick", "mean"}
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "crate is left out: object 7 of the dataset is 141 mm across" in printed
+    assert "not in the dataset: other (55)" in printed
+    # Both pairs without a target, and one of the other two scenes each.
+    assert "4 times in a pair, of object 7, which is not among those to estimate" in printed
+    evaluate_dataset(replace(config, baselines=(10, 30)), dataset, {})
+    assert "degrees apart" not in capsys.readouterr().out
+    with pytest.raises(InputError, match=r"no pair of views .*crate is left out: object 7 of"):
+        evaluate_dataset(replace(config, baselines=(30, 40)), dataset, {})
+
+
+def test_rendered_scenes_have_the_surface_that_the_weights_lack(
+    opened, dataset, boxes, loaded, capsys
+):
+    """Weights of objects that must not be redistributed; the mesh comes with --objects."""
+    oracle, _ = loaded(opened)
+    oracle.networks.objects = {
+        name: replace(model, points=np.empty((0, 3))) for name, model in boxes.items()
+    }
+    records = evaluate_dataset(EvaluateConfig(split="train_pbr"), dataset, {})
+    assert only_record(records, "add_s_recall", object="mean")["value"] == 1.0
+    assert "left out" not in capsys.readouterr().out
+
+
+def test_a_given_mesh_is_the_surface_where_a_dataset_has_no_models(
+    opened, dataset, boxes, loaded, tmp_path
+):
+    (tmp_path / "train_pbr").symlink_to(dataset / "train_pbr")
+    oracle, _ = loaded(opened)
+    bare = {"brick": replace(boxes["brick"], points=np.empty((0, 3)))}
+    oracle.networks.objects = bare
+    write_pairs(tmp_path / "two_view_pairs.json", read_pairs(dataset)[:1])
+    config = EvaluateConfig(split="train_pbr", data=tmp_path)
+    with pytest.raises(InputError, match=r"ADD needs the surface of brick.*--objects brick=FILE"):
+        evaluate_dataset(config, tmp_path, {})
+    for extents, words in (((120, 80, 60), ""), ((120, 60, 80), "brick is 156 mm across")):
+        mesh = tmp_path / "mesh.ply"
+        trimesh.creation.box(extents).export(mesh)
+        given = replace(config, objects=(f"brick={mesh}",))
+        if words:
+            with pytest.raises(InputError, match=words):
+                evaluate_dataset(given, tmp_path, {})
+        else:
+            records = evaluate_dataset(given, tmp_path, {})
+            assert only_record(records, "add_s_recall", object="brick")["value"] == 1.0
+    with pytest.raises(InputError, match="--objects mesh is not what the weights know: brick"):
+        evaluate_dataset(replace(config, objects=(str(mesh),)), tmp_path, {})
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from two_view_pose.core.geometry import make_transform
-from two_view_pose.pose_estimator.dataset_checks.pose_mistakes import corrections
+from two_view_pose.pose_estimator.bop.pose_mistakes import corrections
 
 K = np.array([[570.0, 0, 325], [0, 572, 242], [0, 0, 1]])
 SIZE = (480, 640)

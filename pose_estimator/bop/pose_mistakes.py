@@ -109,6 +109,13 @@ def corrections(T: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> Iterator
         K: camera matrix as written, (3, 3).
         size: height and width of the image.
     """
+    yield from pose_corrections(T, K)
+    for name, cause, remedy, matrix in _cameras(K, size):
+        yield Correction(name, "cam_K", cause, remedy, T, matrix)
+
+
+def pose_corrections(T: np.ndarray, K: np.ndarray) -> Iterator[Correction]:
+    """Yields the corrections of a pose alone; arguments as in `corrections`."""
     for unit, cause, remedy, factor in _UNITS:
         scaled = T.copy()
         scaled[:3, 3] *= factor
@@ -123,8 +130,6 @@ def corrections(T: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> Iterator
                 correct(scaled),
                 K,
             )
-    for name, cause, remedy, matrix in _cameras(K, size):
-        yield Correction(name, "cam_K", cause, remedy, T, matrix)
 
 
 def _cameras(K: np.ndarray, size: tuple[int, int]) -> Iterator[tuple[str, str, str, np.ndarray]]:
