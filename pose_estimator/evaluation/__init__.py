@@ -2,5 +2,5 @@
 
 ``metrics.py`` has ADD and ADD-S, ``evaluate_pairs.py`` runs an estimator on a dataset's pairs,
 ``score_results.py`` scores a BOP result file, ``outcomes.py`` summarizes and prints, and
-``intervals.py`` has the bootstrap.
+``intervals.py`` and ``score_interval.py`` have the intervals of means.
 """

@@ -191,4 +191,5 @@ def _outcome(
         gap=pair.gap,
         estimate=BopResult(*row),
         uncertainty=float(np.sqrt(variance)),
+        scene_id=pair.scene_id,
     )
