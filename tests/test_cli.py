@@ -17,6 +17,7 @@ from two_view_pose.__main__ import COMMANDS, find, main
 from two_view_pose.assets import load_object
 from two_view_pose.core.geometry import LINEMOD_K
 from two_view_pose.pose_estimator.fusion import loading
+from two_view_pose.pose_estimator.types import DepthUse
 
 OPTIONS = {
     "demo": "seed object scene policy device out json",
@@ -142,6 +143,14 @@ def depth_map(inputs, shape=(480, 640), suffix=".png", kind=np.uint16):
     return path
 
 
+def blind_depth_map(inputs):
+    """A depth map of a sensor that saw nothing."""
+    blind = np.zeros((480, 640), np.float32)
+    blind[::2], blind[1::4] = np.nan, np.inf
+    np.save(inputs.folder / "blind.NPY.npy", blind)
+    return (inputs.folder / "blind.NPY.npy").rename(inputs.folder / "blind.NPY")
+
+
 SCALED = np.diag([1.1, 1.1, 1.1, 1.0]).tolist()
 WRONG = {
     "no such image": (dict(reference=lambda i: i.folder / "no.png"), "no.png"),
@@ -187,6 +196,10 @@ WRONG = {
         },
         "has an implausible median of 900 m",
     ),
+    "depth without a known pixel": (
+        dict(method=lambda i: "rgbd", depth=blind_depth_map),
+        "has no known pixel: all are 0, NaN or infinite",
+    ),
     "depth in no unit": (
         {"method": lambda i: "rgbd", "depth": lambda i: depth_map(i), "depth-unit": lambda i: 0},
         "depth_unit must be positive",
@@ -216,6 +229,7 @@ class KnownPose:
 
     object_names = ("can",)
     networks = SimpleNamespace(objects={"can": load_object("can")})
+    depth_use = None
 
     def __init__(self, T_cam_obj):
         self.T_cam_obj = T_cam_obj
@@ -227,6 +241,7 @@ class KnownPose:
             keypoints=load_object(object_name).keypoints + self.T_cam_obj[:3, 3],
             keypoint_covariance=np.tile(np.eye(3) * 1e-6, (9, 1, 1)),
             rois=[SimpleNamespace(center=np.array([300.0, 200.0]), side=90.0, score=0.5)] * 2,
+            depth_use=self.depth_use,
         )
 
 
@@ -284,3 +299,38 @@ def test_estimate_from_a_photograph_with_depth(inputs, monkeypatch, suffix, kind
     (view,) = estimator.views
     assert view.depth.shape == (480, 640) and view.depth[0, 0] == 0
     np.testing.assert_allclose(view.depth[20:], 0.9, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["depth", "depth_tof"])
+def test_depth_of_a_bop_dataset_has_its_unit(name, inputs, monkeypatch, capsys):
+    scene = inputs.folder / "000003"
+    (scene / name).mkdir(parents=True)
+    path = scene / name / "000012.png"
+    Image.fromarray(np.full((480, 640), 9000, np.uint16)).save(path)  # 0.9 m, as we generate it
+    camera = scene / f"scene_camera{name.removeprefix('depth')}.json"
+    camera.write_text(json.dumps({"12": {"depth_scale": 0.1}}))
+    estimator = KnownPose(np.eye(4))
+    monkeypatch.setattr(loading, "load", lambda method, weights, device: estimator)
+    options = {"second": None, "relative-pose": None, "method": "rgbd", "depth": path}
+    assert main(command(inputs.options | options)) == 0
+    np.testing.assert_allclose(estimator.views[0].depth, 0.9, atol=1e-6)
+    assert "units of 0.0001 m" in capsys.readouterr().out
+    assert main(command(inputs.options | options | {"depth-unit": 0.001})) == 0
+    np.testing.assert_allclose(estimator.views[0].depth, 9.0, atol=1e-6)
+    camera.write_text(json.dumps({"12": {"depth_scale": 0}}))
+    assert main(command(inputs.options | options)) == 2
+    assert "depth_scale must be positive" in capsys.readouterr().err
+
+
+def test_an_answer_without_depth_is_refused(inputs, monkeypatch, capsys):
+    estimator = KnownPose(np.eye(4))
+    estimator.depth_use = DepthUse(3, 0.01, 0.9, 0.9)
+    monkeypatch.setattr(loading, "load", lambda method, weights, device: estimator)
+    options = {"second": None, "relative-pose": None, "method": "rgbd", "depth": depth_map(inputs)}
+    assert main(command(inputs.options | options)) == 2
+    error = capsys.readouterr().err
+    assert (
+        "knows 3 points of can, 1 % of its pixels, and rgbd needs 16" in error
+        and error.count("\n") == 1
+    )
+    assert not inputs.options["out"].exists()

@@ -171,7 +171,8 @@ def _write_pixels(
         if frame.depth.shape != shape or not np.isfinite(frame.depth).all():
             raise InputError(f"depth of {name} must be finite and of shape {shape}")
         (folder / "depth").mkdir(exist_ok=True)
-        steps = np.clip(np.round(frame.depth * (MM / DEPTH_SCALE)), 0, 65535).astype(np.uint16)
+        steps = np.maximum(np.round(frame.depth * (MM / DEPTH_SCALE)), 0)
+        steps = np.where(steps < 65536, steps, 0).astype(np.uint16)  # farther is unknown
         path = folder / "depth" / f"{image_id:06d}.png"
         path.write_bytes(encode_image(path, steps))
     count = len(frame.annotations)

@@ -192,4 +192,5 @@ def _outcome(
         estimate=BopResult(*row),
         uncertainty=float(np.sqrt(variance)),
         scene_id=pair.scene_id,
+        depth_use=estimate.depth_use,
     )

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ..bop.results import BopResult
+from ..types import DepthUse
 from .intervals import clustered_mean
 from .metrics import CORRECT
 
@@ -37,6 +38,7 @@ class Outcome:
         gap: frames between the views of a sequence.
         estimate: the pose in the reference view, as a row of a result file.
         uncertainty: predicted standard deviation of the keypoints, m.
+        depth_use: what the depth map showed of the target, of methods with depth.
         scene_id: its scene, whose outcomes resemble each other; None: it is alone in its scene.
     """
 
@@ -51,6 +53,7 @@ class Outcome:
     estimate: BopResult | None = None
     uncertainty: float = 0.0
     scene_id: int | None = None
+    depth_use: DepthUse | None = None
 
 
 def summarize(outcomes: Sequence[Outcome], tags: Mapping[str, Any], seed: int = 0) -> list[dict]:
