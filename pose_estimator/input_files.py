@@ -9,6 +9,7 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.geometry import check_depth
 from ..core.images import read_image
+from ..core.text_files import read_text
 
 
 def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray:
@@ -27,17 +28,18 @@ def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray
         InputError: if it does not hold a matrix of numbers.
     """
     try:
-        if path.suffix == ".npy":
+        if path.suffix.lower() == ".npy":
             values: Any = np.load(path, allow_pickle=False)
-        elif path.suffix == ".json":
-            values = json.loads(path.read_text(encoding="utf-8"))
+        elif path.suffix.lower() == ".json":
+            values = json.loads(read_text(path))
             if isinstance(values, dict):
                 found = [key for key in keys if key in values]
                 if not found:
                     raise InputError(f"has none of the keys {', '.join(keys)}")
                 values = values[found[0]]
         else:
-            values = np.loadtxt(path, delimiter="," if "," in path.read_text() else None)
+            text = read_text(path)
+            values = np.loadtxt(text.splitlines(), delimiter="," if "," in text else None)
         matrix = np.asarray(values, dtype=np.float64)
     except (ValueError, TypeError) as error:
         raise InputError(f"{name}: {path} holds no matrix of numbers ({error})") from error

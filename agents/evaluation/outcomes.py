@@ -245,4 +245,4 @@ def _with_interval(interval: Interval, scale: float, value: str, end: str) -> st
 def display_name(name: str) -> str:
     """Name of a policy in tables and figures; of a file the name of its folder."""
     path = Path(name)
-    return path.parent.name if path.suffix == ".safetensors" and path.parent.name else name
+    return path.parent.name if path.suffix.lower() == ".safetensors" and path.parent.name else name
