@@ -28,6 +28,8 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> None:
             os.fsync(stream.fileno())
         temporary.replace(target)
     except OSError as error:
+        if error.errno is None:
+            raise
         raise _named(error, target) from error
     finally:
         temporary.unlink(missing_ok=True)
