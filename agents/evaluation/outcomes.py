@@ -237,11 +237,10 @@ def print_table(outcomes: Mapping[str, Sequence[Outcome]], title: str) -> None:
 def _with_interval(interval: Interval, scale: float, value: str, end: str) -> str:
     """Formats a scaled value, and in brackets its interval."""
     mean, low, high = interval
+    text = f"{scale * mean:{value}}"
     if low is None or high is None:
-        ends = TOO_FEW
-    else:
-        ends = f"{scale * low:{end}}-{scale * high:{end}}"
-    return f"{scale * mean:{value}} ({ends})"
+        return f"{text} ({TOO_FEW})"
+    return f"{text} ({scale * low:{end}}-{scale * high:{end}})"
 
 
 def display_name(name: str) -> str:
