@@ -17,7 +17,6 @@ from two_view_pose.__main__ import COMMANDS, find, main
 from two_view_pose.assets import load_object
 from two_view_pose.core.geometry import LINEMOD_K
 from two_view_pose.pose_estimator.fusion import loading
-from two_view_pose.pose_estimator.types import DepthUse
 
 OPTIONS = {
     "demo": "seed object scene policy device out json",
@@ -299,38 +298,3 @@ def test_estimate_from_a_photograph_with_depth(inputs, monkeypatch, suffix, kind
     (view,) = estimator.views
     assert view.depth.shape == (480, 640) and view.depth[0, 0] == 0
     np.testing.assert_allclose(view.depth[20:], 0.9, atol=1e-6)
-
-
-@pytest.mark.parametrize("name", ["depth", "depth_tof"])
-def test_depth_of_a_bop_dataset_has_its_unit(name, inputs, monkeypatch, capsys):
-    scene = inputs.folder / "000003"
-    (scene / name).mkdir(parents=True)
-    path = scene / name / "000012.png"
-    Image.fromarray(np.full((480, 640), 9000, np.uint16)).save(path)  # 0.9 m, as we generate it
-    camera = scene / f"scene_camera{name.removeprefix('depth')}.json"
-    camera.write_text(json.dumps({"12": {"depth_scale": 0.1}}))
-    estimator = KnownPose(np.eye(4))
-    monkeypatch.setattr(loading, "load", lambda method, weights, device: estimator)
-    options = {"second": None, "relative-pose": None, "method": "rgbd", "depth": path}
-    assert main(command(inputs.options | options)) == 0
-    np.testing.assert_allclose(estimator.views[0].depth, 0.9, atol=1e-6)
-    assert "units of 0.0001 m" in capsys.readouterr().out
-    assert main(command(inputs.options | options | {"depth-unit": 0.001})) == 0
-    np.testing.assert_allclose(estimator.views[0].depth, 9.0, atol=1e-6)
-    camera.write_text(json.dumps({"12": {"depth_scale": 0}}))
-    assert main(command(inputs.options | options)) == 2
-    assert "depth_scale must be positive" in capsys.readouterr().err
-
-
-def test_an_answer_without_depth_is_refused(inputs, monkeypatch, capsys):
-    estimator = KnownPose(np.eye(4))
-    estimator.depth_use = DepthUse(3, 0.01, 0.9, 0.9)
-    monkeypatch.setattr(loading, "load", lambda method, weights, device: estimator)
-    options = {"second": None, "relative-pose": None, "method": "rgbd", "depth": depth_map(inputs)}
-    assert main(command(inputs.options | options)) == 2
-    error = capsys.readouterr().err
-    assert (
-        "knows 3 points of can, 1 % of its pixels, and rgbd needs 16" in error
-        and error.count("\n") == 1
-    )
-    assert not inputs.options["out"].exists()

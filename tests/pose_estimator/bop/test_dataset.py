@@ -6,7 +6,6 @@ import shutil
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
 from scipy.spatial.transform import Rotation
 from two_view_pose.core.geometry import LINEMOD_K, make_transform
 from two_view_pose.pose_estimator.bop import dataset as bop
@@ -94,22 +93,6 @@ def test_files_hold_millimeters_and_plain_bop(dataset):
     assert mask.shape == (48, 64) and set(np.unique(mask)) == {0, 255}
     info = json.loads((folder / "scene_gt_info.json").read_text())["1"][0]
     assert info["bbox_visib"] == [10, 5, 19, 14]  # bop_toolkit's width: last minus first column
-
-
-def test_depth_beyond_16_bits_and_not_finite_is_unknown(tmp_path):
-    frame = random_frame(np.random.default_rng(3))
-    frame.depth[:2] = [[6.5535], [6.6]]
-    bop_writer.write_scene(tmp_path, "test", 0, [frame], jpeg_quality=None)
-    (image,) = bop.read_dataset(tmp_path, "test")
-    depth = bop.read_depth(image)
-    assert depth[0, 0] == np.float32(6.5535) and (depth[1] == 0).all()
-    floats = depth / 0.1e-3
-    floats[:3] = [[np.nan], [np.inf], [-np.inf]]
-    image.depth_path.unlink()
-    Image.fromarray(floats.astype(np.float32)).save(image.depth_path.with_suffix(".tif"))
-    (image,) = bop.read_dataset(tmp_path, "test")
-    assert (bop.read_depth(image)[:3] == 0).all()
-    np.testing.assert_allclose(bop.read_depth(image)[3:], depth[3:], rtol=1e-6)
 
 
 def test_pairs_round_trip(tmp_path):
