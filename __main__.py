@@ -5,13 +5,17 @@ takes it. Only the chosen command's modules are imported, the function's after t
 read, so that help is quick.
 """
 
+import errno
 import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NamedTuple
 
+from .core.closed_output import close_broken_output
 from .core.errors import InputError
+from .core.files import check_output
 
 PROGRAM = "two_view_pose"
 
@@ -24,11 +28,13 @@ class Command(NamedTuple):
         function: the function that takes the config; what it returns, if an integer, is the exit
             code.
         summary: one line for the list of commands.
+        writes_file: whether ``--out`` is a file, not a folder.
     """
 
     config: str
     function: str
     summary: str
+    writes_file: bool = False
 
 
 COMMANDS = {
@@ -36,6 +42,7 @@ COMMANDS = {
         "agents.evaluation.demo:DemoConfig",
         "agents.evaluation.demo:demo",
         "one scene, two views, the pose before and after; writes an image",
+        writes_file=True,
     ),
     "generate": Command(
         "envs.datagen.config:GenerateConfig",
@@ -46,6 +53,7 @@ COMMANDS = {
         "envs.recording.config:RecordBankConfig",
         "envs.recording.record_bank:record_bank",
         "records every second view of many scenes, to train and test on",
+        writes_file=True,
     ),
     "check-data": Command(
         "pose_estimator.dataset_checks.config:CheckDataConfig",
@@ -66,6 +74,7 @@ COMMANDS = {
         "pose_estimator.fusion.estimate_files:EstimateConfig",
         "pose_estimator.fusion.estimate_files:estimate_files",
         "the pose of an object in your own two photographs",
+        writes_file=True,
     ),
     "train-agent": Command(
         "agents.training.config:TrainAgentConfig",
@@ -110,8 +119,10 @@ def overview() -> str:
 
 def message(error: Exception) -> str:
     """One line for the user."""
-    if isinstance(error, OSError) and error.strerror and error.filename:
-        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror:
+        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        return text + "; free some, then run the same command again" * full
     return " ".join(str(error).split()) or type(error).__name__
 
 
@@ -119,6 +130,19 @@ def find(place: str) -> Any:
     """What stands at ``module:name`` below this package."""
     module, name = place.split(":")
     return getattr(import_module(f".{module}", __package__), name)
+
+
+def check_outputs(config: Any, command: Command) -> None:
+    """Checks that the outputs of a command can be written.
+
+    Raises:
+        InputError: if one cannot.
+    """
+    for name in ("out", "json", "csv", "overlay", "figures", "cache_dir"):
+        path = getattr(config, name, None)
+        if isinstance(path, Path):
+            is_file = command.writes_file if name == "out" else name in ("json", "csv", "overlay")
+            check_output(path, name, folder=not is_file)
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -135,12 +159,31 @@ def run(arguments: Sequence[str]) -> int:
     if command is None:
         raise InputError(f"unknown command {name!r}; the commands are {', '.join(COMMANDS)}")
     config = tyro.cli(find(command.config), prog=f"{PROGRAM} {name}", args=options)
+    check_outputs(config, command)
     code = find(command.function)(config)
     return code if isinstance(code, int) else 0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns 0, 1 (a check failed), 2 (wrong input) or 130 (interrupted)."""
+    """The command line.
+
+    Returns:
+        0, 1 (a check failed), 2 (wrong input), 130 (interrupted), or 141 (nobody reads the output
+        any more, as after ``| head -1``).
+    """
+    try:
+        try:
+            return _main(arguments)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError as error:
+        if close_broken_output():
+            return 141
+        print(f"error: {message(error)}", file=sys.stderr)
+        return 2
+
+
+def _main(arguments: Sequence[str] | None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in given or bool(os.environ.get("TWO_VIEW_POSE_DEBUG"))
     given = [argument for argument in given if argument != "--debug"]
@@ -154,6 +197,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     try:
         return run(given)
+    except BrokenPipeError:
+        raise
     except (InputError, OSError) as error:
         if debug:
             raise

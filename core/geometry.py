@@ -80,16 +80,22 @@ def check_image(image: np.ndarray, name: str = "image") -> np.ndarray:
 
 
 def check_depth(depth: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Returns a depth map as float32 of ``shape`` (H, W), meters.
+    """Returns a depth map as float32 of ``shape`` (H, W), meters; NaN and infinity become 0.
 
     Raises:
-        InputError: if it has another shape, or an entry that is negative or not finite.
+        InputError: if it has another shape, or a negative entry.
     """
     array = np.asarray(depth, dtype=np.float32)
     if array.shape != tuple(shape):
         raise InputError(f"depth must have the image's shape {tuple(shape)}, got {array.shape}")
-    if not np.isfinite(array).all() or array.min(initial=0.0) < 0:
-        raise InputError("depth must be finite and not negative (meters, 0 = unknown)")
+    known = np.isfinite(array)
+    if not known.all():  # what many sensors' drivers write where they see nothing
+        array = np.where(known, array, np.float32(0))
+    if array.min(initial=0.0) < 0:
+        raise InputError(
+            "depth must not be negative (meters along z, which points forward; 0 = unknown), got "
+            f"{array.min():g}"
+        )
     return array
 
 
@@ -102,8 +108,8 @@ class View:
         K: camera matrix in pixels, (3, 3).
         T_cam_world: world to OpenCV camera, (4, 4), meters. The world is any frame that the views
             of one estimate share.
-        depth: depth map along z, (H, W) meters, 0 = unknown; None without a depth sensor. Only
-            ``rgbd`` uses it.
+        depth: depth map along z, (H, W) meters, 0 (or NaN or infinite) = unknown; None without a
+            depth sensor. Only ``rgbd`` uses it.
     """
 
     image: np.ndarray

@@ -19,6 +19,7 @@ from typing import Any
 
 from .errors import InputError
 from .files import write_atomically
+from .text_files import read_text
 
 PACKAGES = (
     "two-view-pose",
@@ -116,8 +117,8 @@ def read_results(path: str | os.PathLike[str]) -> dict[str, Any]:
         InputError: if it is not a results file.
     """
     try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        document = json.loads(read_text(Path(path)))
+    except ValueError as error:
         raise InputError(f"results file {path} is not JSON: {error}") from error
     keys = {"command", "versions", "seed", "records"}
     if not isinstance(document, dict) or set(document) != keys:

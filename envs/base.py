@@ -18,6 +18,7 @@ from ..core.validation import require_within
 from ..pose_estimator.bop.objects import load_objects
 from ..pose_estimator.methods import DEFAULT_METHOD
 from ..pose_estimator.types import PoseEstimate
+from .copying import CopyableEnv
 from .episode import Episode
 from .episode_figure import episode_figure
 from .observation import Observation, SpherePosition, make_observation, observation_space
@@ -36,7 +37,7 @@ MEMORY_RELEASE_INTERVAL = 100
 """Episodes after which an environment returns unused memory to the operating system."""
 
 
-class ViewSelectionEnv(gym.Env[Observation, Any]):
+class ViewSelectionEnv(CopyableEnv, gym.Env[Observation, Any]):
     """What all live environments share; see ``TwoViewPoseEnv`` for the arguments.
 
     Subclasses define the actions (``make_action_space``) and their cameras (``camera_pose``).

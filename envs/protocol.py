@@ -57,7 +57,7 @@ def resolve_estimator(
     if isinstance(estimator, str | Path):
         # One estimator for "auto" and the name of the same device.
         found = str(resolve_device(device))
-        if Path(estimator).suffix != ".safetensors":
+        if Path(estimator).suffix.lower() != ".safetensors":
             return load_shipped(str(estimator), found)
         from .. import pose_estimator
 

@@ -14,6 +14,7 @@ from ..core.errors import InputError
 from ..core.validation import require_within
 from ..pose_estimator.types import PoseEstimate
 from .actions import box_view, candidate_view, check_candidates
+from .copying import CopyableEnv
 from .episode import ground_truth
 from .observation import Observation, SpherePosition, observation_space
 from .simulation.camera import view_sphere_pose
@@ -25,7 +26,7 @@ _RADIANS_PER_METER = np.deg2rad(60.0)
 """Weight of the distance against the angle when a Box action is matched to a recorded view."""
 
 
-class TwoViewPoseReplayEnv(gym.Env[Observation, Any]):
+class TwoViewPoseReplayEnv(CopyableEnv, gym.Env[Observation, Any]):
     """`TwoViewPoseDiscrete-v0` (or `TwoViewPose-v0`) over a bank that `record-bank` wrote.
 
     ## Description

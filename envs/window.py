@@ -35,6 +35,9 @@ class Window:
         self._pygame.event.pump()
         self._pygame.display.flip()
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Window":
+        return Window(self._title)
+
     def close(self) -> None:
         """Closes the window; can be called again."""
         if self._pygame is not None:

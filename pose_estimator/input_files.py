@@ -2,12 +2,14 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..core.errors import InputError
+from ..core.geometry import check_depth
 from ..core.images import read_image
+from ..core.text_files import read_text
 
 
 def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray:
@@ -26,17 +28,18 @@ def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray
         InputError: if it does not hold a matrix of numbers.
     """
     try:
-        if path.suffix == ".npy":
+        if path.suffix.lower() == ".npy":
             values: Any = np.load(path, allow_pickle=False)
-        elif path.suffix == ".json":
-            values = json.loads(path.read_text(encoding="utf-8"))
+        elif path.suffix.lower() == ".json":
+            values = json.loads(read_text(path))
             if isinstance(values, dict):
                 found = [key for key in keys if key in values]
                 if not found:
                     raise InputError(f"has none of the keys {', '.join(keys)}")
                 values = values[found[0]]
         else:
-            values = np.loadtxt(path, delimiter="," if "," in path.read_text() else None)
+            text = read_text(path)
+            values = np.loadtxt(text.splitlines(), delimiter="," if "," in text else None)
         matrix = np.asarray(values, dtype=np.float64)
     except (ValueError, TypeError) as error:
         raise InputError(f"{name}: {path} holds no matrix of numbers ({error})") from error
@@ -49,8 +52,20 @@ _MIN_MEDIAN, _MAX_MEDIAN = 0.05, 30.0
 """Meters: a depth map with another median has the wrong unit."""
 
 
-def read_depth_map(path: Path, unit: float | None = None) -> np.ndarray:
-    """Reads a depth map in meters, float32 (H, W), 0 = unknown.
+class DepthMap(NamedTuple):
+    """A depth map that was read from a file.
+
+    Attributes:
+        meters: along z, float32 (H, W); 0 = unknown.
+        unit: meters per unit of the file.
+    """
+
+    meters: np.ndarray
+    unit: float
+
+
+def read_depth_map(path: Path, unit: float | None = None) -> DepthMap:
+    """Reads a depth map; what is 0, NaN or infinite is unknown.
 
     Args:
         path: a 16-bit gray PNG or TIFF, or a .npy.
@@ -58,12 +73,13 @@ def read_depth_map(path: Path, unit: float | None = None) -> np.ndarray:
 
     Raises:
         FileNotFoundError: if there is no such file.
-        InputError: if it does not hold a depth map, or the unit is implausible.
+        InputError: if it does not hold a depth map, all of it is unknown, or the unit is
+            implausible.
     """
     if unit is not None and not 0 < unit < float("inf"):
         raise InputError(f"depth_unit must be positive, in meters, got {unit}")
     try:
-        npy = path.suffix == ".npy"
+        npy = path.suffix.lower() == ".npy"
         steps = np.load(path, allow_pickle=False) if npy else read_image(path, None)
     except (EOFError, ValueError) as error:
         raise InputError(f"depth {path} is neither an image file nor a .npy array") from error
@@ -74,11 +90,13 @@ def read_depth_map(path: Path, unit: float | None = None) -> np.ndarray:
         )
     if unit is None:
         unit = 1.0 if steps.dtype.kind == "f" else 0.001
-    depth = (steps.astype(np.float64) * unit).astype(np.float32)
-    known = depth[np.isfinite(depth) & (depth > 0)]
-    if known.size and not _MIN_MEDIAN < float(np.median(known)) < _MAX_MEDIAN:
+    depth = check_depth(steps.astype(np.float64) * unit, steps.shape)
+    known = depth[depth > 0]
+    if not known.size:
+        raise InputError(f"depth {path} has no known pixel: all are 0, NaN or infinite")
+    if not _MIN_MEDIAN < float(np.median(known)) < _MAX_MEDIAN:
         raise InputError(
             f"depth {path} has an implausible median of {np.median(known):.4g} m; depth_unit is "
             f"{unit:g} m: is it right?"
         )
-    return depth
+    return DepthMap(depth, unit)

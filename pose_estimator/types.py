@@ -70,6 +70,23 @@ def depth_of_roi(roi: Roi, K: np.ndarray, diameter: float, scale: float) -> floa
     return scale * diameter * float(K[0, 0]) / max(roi.side, 1.0)
 
 
+@dataclass(frozen=True)
+class DepthUse:
+    """What a depth map shows of an object.
+
+    Attributes:
+        points: number of known points on the object; with too few the pose is that of one view.
+        share: of the object's pixels that have a known depth, 0 to 1.
+        distance: median depth on the object, meters; None where none is known.
+        expected: its depth by its size in the color image, meters.
+    """
+
+    points: int
+    share: float
+    distance: float | None
+    expected: float
+
+
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
     """An object's pose with its uncertainty.
@@ -79,9 +96,11 @@ class PoseEstimate:
         keypoints: in the reference camera, (9, 3), meters.
         keypoint_covariance: (9, 3, 3), square meters.
         rois: the detected region of each view, the reference first.
+        depth_use: what the depth map showed, of methods with depth.
     """
 
     T_cam_obj: np.ndarray
     keypoints: np.ndarray
     keypoint_covariance: np.ndarray
     rois: list[Roi] = field(default_factory=list)
+    depth_use: DepthUse | None = None

@@ -142,6 +142,14 @@ def depth_map(inputs, shape=(480, 640), suffix=".png", kind=np.uint16):
     return path
 
 
+def blind_depth_map(inputs):
+    """A depth map of a sensor that saw nothing."""
+    blind = np.zeros((480, 640), np.float32)
+    blind[::2], blind[1::4] = np.nan, np.inf
+    np.save(inputs.folder / "blind.NPY.npy", blind)
+    return (inputs.folder / "blind.NPY.npy").rename(inputs.folder / "blind.NPY")
+
+
 SCALED = np.diag([1.1, 1.1, 1.1, 1.0]).tolist()
 WRONG = {
     "no such image": (dict(reference=lambda i: i.folder / "no.png"), "no.png"),
@@ -187,6 +195,10 @@ WRONG = {
         },
         "has an implausible median of 900 m",
     ),
+    "depth without a known pixel": (
+        dict(method=lambda i: "rgbd", depth=blind_depth_map),
+        "has no known pixel: all are 0, NaN or infinite",
+    ),
     "depth in no unit": (
         {"method": lambda i: "rgbd", "depth": lambda i: depth_map(i), "depth-unit": lambda i: 0},
         "depth_unit must be positive",
@@ -216,6 +228,7 @@ class KnownPose:
 
     object_names = ("can",)
     networks = SimpleNamespace(objects={"can": load_object("can")})
+    depth_use = None
 
     def __init__(self, T_cam_obj):
         self.T_cam_obj = T_cam_obj
@@ -227,6 +240,7 @@ class KnownPose:
             keypoints=load_object(object_name).keypoints + self.T_cam_obj[:3, 3],
             keypoint_covariance=np.tile(np.eye(3) * 1e-6, (9, 1, 1)),
             rois=[SimpleNamespace(center=np.array([300.0, 200.0]), side=90.0, score=0.5)] * 2,
+            depth_use=self.depth_use,
         )
 
 

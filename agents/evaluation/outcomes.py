@@ -1,11 +1,12 @@
 """Outcomes of episodes and their statistics.
 
-Policies see the same scenes, so differences are paired: their intervals resample scenes, with both
-policies' outcomes together (Efron and Tibshirani, *An Introduction to the Bootstrap*, chapter 8).
+Intervals are over scenes, see ``pose_estimator/evaluation/intervals.py``. Policies see the same
+scenes, so differences are paired: their intervals resample scenes, with both policies' outcomes
+together (Efron and Tibshirani, *An Introduction to the Bootstrap*, chapter 8).
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +16,14 @@ import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
-from scipy.stats import binomtest
+
+from ...pose_estimator.evaluation.intervals import (
+    MIN_FREEDOM,
+    QUANTILES,
+    RESAMPLES,
+    TOO_FEW,
+    clustered_mean,
+)
 
 STAY = "stay"
 """Name of the estimate from the first view alone."""
@@ -29,10 +37,11 @@ SUCCESS = 0.1
 VISIBILITY_BINS = ((0.0, 0.4), (0.4, 0.7), (0.7, 0.9), (0.9, 1.01))
 """Half-open intervals of the target's visible fraction in the reference view."""
 
-RESAMPLES = 2000
+Interval = tuple[float, float | None, float | None]
+"""A value with the low and high end of its 95 percent interval; None for too few scenes."""
 
-Interval = tuple[float, float, float]
-"""A value with the low and high end of its 95 percent interval."""
+Bounds = tuple[int, int] | None
+"""Of values, see ``clustered_mean``."""
 
 
 @dataclass(frozen=True)
@@ -84,18 +93,23 @@ def outcome_of(info: Mapping[str, Any], key: str, views: int) -> Outcome:
 
 def per_scene(results: Sequence[Outcome], value: Callable[[Outcome], float]) -> np.ndarray:
     """Averages a value over repetitions of each scene, in the order of the scenes."""
-    groups: dict[Any, list[float]] = {}
-    for number, result in enumerate(results):
-        scene = number if result.scene is None else (result.object_name, result.scene)
+    groups: dict[Hashable, list[float]] = {}
+    for scene, result in zip(_scenes(results), results, strict=True):
         groups.setdefault(scene, []).append(value(result))
     return np.array([np.mean(values) for values in groups.values()])
+
+
+def _scenes(results: Sequence[Outcome]) -> list[Hashable]:
+    """What is equal for repetitions of the same scene."""
+    return [i if r.scene is None else (r.object_name, r.scene) for i, r in enumerate(results)]
 
 
 def make_records(outcomes: Mapping[str, Sequence[Outcome]], scene: str) -> list[dict[str, Any]]:
     """Makes the records of a results file, with 95 percent intervals over scenes.
 
     For all objects (``object`` is ``mean``), each object, and each visibility bin (``visibility``
-    is its lower end); then paired comparisons with ``max-baseline``.
+    is its lower end); then paired comparisons with ``max-baseline``. Records of too few scenes for
+    an interval have no ``low`` and ``high``.
     """
     records = []
     for policy, results in outcomes.items():
@@ -117,22 +131,23 @@ def _records(results: Sequence[Outcome], tags: Mapping[str, Any]) -> list[dict[s
 
 def _record(metric: str, unit: str, interval: Interval, tags: Mapping[str, Any]) -> dict[str, Any]:
     value, low, high = interval
-    return {"metric": metric, "value": value, "unit": unit, **tags, "low": low, "high": high}
+    ends = {} if low is None else {"low": low, "high": high}
+    return {"metric": metric, "value": value, "unit": unit, **tags, **ends}
 
 
 def statistics(results: Sequence[Outcome]) -> list[tuple[str, str, Interval]]:
     """Metrics with unit and interval."""
-    success = per_scene(results, lambda r: r.success)
-    binary = len(success) == len(results)  # else averaged over repetitions
-    means: list[tuple[str, str, Callable[[Outcome], float]]] = [
-        ("add_over_diameter", "1", lambda r: r.add_over_diameter),
-        ("capped_add_over_diameter", "1", lambda r: r.capped),
-        ("travel", "m", lambda r: r.travel),
-        ("second_views", "1", lambda r: r.views),
+    scenes = _scenes(results)
+    measures: list[tuple[str, str, Bounds, Callable[[Outcome], float]]] = [
+        ("add_s_recall", "1", (0, 1), lambda r: r.success),
+        ("add_over_diameter", "1", None, lambda r: r.add_over_diameter),
+        ("capped_add_over_diameter", "1", (0, 1), lambda r: r.capped),
+        ("travel", "m", None, lambda r: r.travel),
+        ("second_views", "1", None, lambda r: r.views),
     ]
     return [
-        ("add_s_recall", "1", _recall(success) if binary else mean_interval(success)),
-        *((metric, unit, mean_interval(per_scene(results, f))) for metric, unit, f in means),
+        (metric, unit, _mean([value(r) for r in results], scenes, bounds))
+        for metric, unit, bounds, value in measures
     ]
 
 
@@ -146,8 +161,10 @@ def _comparisons(outcomes: Mapping[str, Sequence[Outcome]], scene: str) -> list[
     tags = {"scene": scene, "object": "mean", "against": REFERENCE_POLICY, "n": len(reference)}
     records = []
     for policy in outcomes:
+        # The difference from itself is 0 without doubt.
+        bounds = (-1, 1) if policy != REFERENCE_POLICY else None
         found = {
-            "add_s_recall_difference": _paired(success[policy] - success[REFERENCE_POLICY]),
+            "add_s_recall_difference": _paired(success[policy] - success[REFERENCE_POLICY], bounds),
             "capped_difference": _paired(capped[policy] - reference),
         }
         if oracle is not None:
@@ -167,36 +184,30 @@ def gap_closed(policy: np.ndarray, reference: np.ndarray, oracle: np.ndarray) ->
     gap = reference.mean() - oracle.mean()
     if gap < 1e-9:
         return None
+    closed = float((reference.mean() - policy.mean()) / gap)
+    if len(policy) <= MIN_FREEDOM:
+        return closed, None, None
     gaps, gains = (_resamples(len(policy)) @ (reference - other) for other in (oracle, policy))
-    low, high = np.quantile(gains[gaps > 0] / gaps[gaps > 0], (0.025, 0.975))
-    return float((reference.mean() - policy.mean()) / gap), float(low), float(high)
+    low, high = np.quantile(gains[gaps > 0] / gaps[gaps > 0], QUANTILES)
+    return closed, float(low), float(high)
 
 
-def _paired(differences: np.ndarray) -> Interval:
-    """Mean difference over scenes, with its bootstrap interval."""
-    means = _resamples(len(differences)) @ differences / len(differences)
-    low, high = np.quantile(means, (0.025, 0.975))
-    return float(differences.mean()), float(low), float(high)
+def _paired(differences: np.ndarray, bounds: Bounds = None) -> Interval:
+    """Mean difference over scenes, with its interval."""
+    return _mean(differences, range(len(differences)), bounds)
+
+
+def _mean(
+    values: Sequence[float] | np.ndarray, scenes: Sequence[Hashable], bounds: Bounds
+) -> Interval:
+    found = clustered_mean(values, scenes, bounds=bounds)
+    return found.value, found.low, found.high
 
 
 @lru_cache(maxsize=1)
 def _resamples(count: int) -> np.ndarray:
     """Number of times that each resample draws each scene, (R, count)."""
     return np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), RESAMPLES)
-
-
-def _recall(success: np.ndarray) -> Interval:
-    """Fraction of successes with its Wilson (1927) interval, which stays within 0 and 1."""
-    result = binomtest(int(success.sum()), len(success))
-    low, high = result.proportion_ci(method="wilson")
-    return float(result.statistic), float(low), float(high)
-
-
-def mean_interval(values: np.ndarray) -> Interval:
-    """Mean with its interval by the normal approximation."""
-    mean = float(values.mean())
-    half = 1.959964 * float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else 0.0
-    return mean, mean - half, mean + half
 
 
 def print_table(outcomes: Mapping[str, Sequence[Outcome]], title: str) -> None:
@@ -212,8 +223,8 @@ def print_table(outcomes: Mapping[str, Sequence[Outcome]], title: str) -> None:
         (_, _, recall), _, (_, _, error), (_, _, travel), (_, _, views) = statistics(results)
         cells = [
             display_name(policy),
-            f"{100 * recall[0]:.1f} ({100 * recall[1]:.0f}-{100 * recall[2]:.0f}) %",
-            f"{error[0]:.3f} ({error[1]:.3f}-{error[2]:.3f})",
+            f"{_with_interval(recall, 100, '.1f', '.0f')} %",
+            _with_interval(error, 1, ".3f", ".3f"),
         ]
         if closed:
             share = gap_closed(capped[policy], capped[REFERENCE_POLICY], capped[ORACLE])
@@ -223,7 +234,16 @@ def print_table(outcomes: Mapping[str, Sequence[Outcome]], title: str) -> None:
     Console().print(table)
 
 
+def _with_interval(interval: Interval, scale: float, value: str, end: str) -> str:
+    """Formats a scaled value, and in brackets its interval."""
+    mean, low, high = interval
+    text = f"{scale * mean:{value}}"
+    if low is None or high is None:
+        return f"{text} ({TOO_FEW})"
+    return f"{text} ({scale * low:{end}}-{scale * high:{end}})"
+
+
 def display_name(name: str) -> str:
     """Name of a policy in tables and figures; of a file the name of its folder."""
     path = Path(name)
-    return path.parent.name if path.suffix == ".safetensors" and path.parent.name else name
+    return path.parent.name if path.suffix.lower() == ".safetensors" and path.parent.name else name

@@ -2,5 +2,6 @@
 
 ``train_greedy.py`` and ``error_regression.py`` train the networks of ``greedy``;
 ``hyperparameters.yml`` has the tuned values; ``training_state.py`` saves and restores an SB3
-trainer; ``sub_environments.py`` adapts our vector environment to SB3.
+trainer; ``step_count.py`` says how many steps are played; ``sub_environments.py`` adapts our vector
+environment to SB3.
 """

@@ -79,6 +79,9 @@ class TrainAgentConfig:
     def __post_init__(self) -> None:
         if self.algo == "greedy" and self.bank is None:
             raise InputError("greedy needs --bank FILE; record-bank --out FILE records one")
+        greedy = ("steps", "n_envs", "pretrained_extractor")
+        for name in _given(self, *(greedy if self.algo == "greedy" else ("visibility_bank",))):
+            raise InputError(f"{name} has no effect with the algorithm {self.algo}: leave it out")
         require_within(self, 0, math.inf, "seed")
         names = ("checkpoint_every", "validation", "evaluate_every")
         require_within(self, 1, math.inf, *names, *_given(self, "steps", "n_envs"))

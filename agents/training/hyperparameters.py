@@ -8,6 +8,7 @@ import yaml
 from stable_baselines3.common.utils import LinearSchedule
 
 from ...core.errors import InputError
+from ...core.text_files import read_text
 from ..networks.algorithms import RESERVED_KEYS, check_hyperparameters, policy_kwargs
 
 SHIPPED = Path(__file__).with_name("hyperparameters.yml")
@@ -26,8 +27,8 @@ def load_hyperparameters(algo: str, env_id: str, path: Path | None = None) -> di
     """
     source = SHIPPED if path is None else path
     try:
-        document = yaml.safe_load(source.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        document = yaml.safe_load(read_text(source))
+    except (OSError, InputError, yaml.YAMLError) as error:
         raise InputError(f"hyper-parameter file {source} cannot be read: {error}") from error
     table = document.get(algo) if isinstance(document, dict) else None
     entries = table if isinstance(table, dict) else {}

@@ -21,6 +21,7 @@ from ..networks.candidates import load_pretrained_extractor
 from ..networks.checkpoint import AgentHeader, read_agent, write_agent
 from .config import BOX_ENV, DISCRETE_ENV, TrainAgentConfig
 from .hyperparameters import algorithm_kwargs, load_hyperparameters
+from .step_count import check_steps
 from .sub_environments import has_vector_env, make_sub_environments
 from .training_state import counters, reseed, restore_state, state_tensors
 from .validation import (
@@ -78,6 +79,7 @@ def train_agent(config: TrainAgentConfig) -> Path:
         if resumed:
             print(f"Resuming {config.out} at step {model.num_timesteps} of {steps}.")
         first_step, start = model.num_timesteps, time.perf_counter()
+        check_steps(model, config.algo, steps)
         if steps > first_step:
             model.learn(
                 steps - first_step,
@@ -88,7 +90,10 @@ def train_agent(config: TrainAgentConfig) -> Path:
                 progress_bar=config.progress,
             )
         seconds = time.perf_counter() - start
-        save_agent(model, header, config.out, policy=not replay)
+        missing = not (config.out / POLICY).exists()
+        if missing and replay:
+            print(f"{config.out / POLICY} was missing: this is the last policy, not the best.")
+        save_agent(model, header, config.out, policy=missing or not replay)
     finally:
         venv.close()
     _report(model, config, model.num_timesteps - first_step, seconds)

@@ -74,6 +74,8 @@ class ValidationCallback(EvalCallback):
     def _init_callback(self) -> None:
         super()._init_callback()
         self.best_mean_reward = self.model.best_mean_reward
+        # A resumed run validates at the steps of an uninterrupted one.
+        self.n_calls = self.model.num_timesteps // self.training_env.num_envs
 
     def _on_step(self) -> bool:
         result = super()._on_step()
@@ -81,6 +83,11 @@ class ValidationCallback(EvalCallback):
             self.model.best_mean_reward = self.best_mean_reward
             save_policy(self.model, self._header, self._out)
         return result
+
+    def _on_training_end(self) -> None:
+        """Validates the last policy too: it may be the best, and of a short run the only one."""
+        self.eval_freq = self.n_calls
+        self._on_step()
 
 
 def save_policy(model: BaseAlgorithm, header: AgentHeader, out: Path) -> None:

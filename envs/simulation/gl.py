@@ -83,6 +83,31 @@ def open_context(width: int, height: int) -> Any:
     )
 
 
+def make_current(context: Any) -> None:
+    """Makes a context current in this thread.
+
+    Raises:
+        GraphicsUnavailable: if it is current in another one.
+    """
+    try:
+        context.make_current()
+    except Exception as error:  # PyOpenGL's
+        raise GraphicsUnavailable(
+            f"the OpenGL context cannot be used in this thread ({type(error).__name__}): an "
+            "environment can be used in several threads, but only in one at a time"
+        ) from error
+
+
+def release_current() -> None:
+    """Leaves no context current, since EGL refuses one that is current in another thread."""
+    if _backend == "egl":
+        module = sys.modules["mujoco.egl"]
+        EGL = module.EGL
+        EGL.eglMakeCurrent(
+            module.EGL_DISPLAY, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
+        )
+
+
 def _forget_platform() -> None:
     """Lets PyOpenGL choose its platform again at the next import."""
     os.environ.pop("PYOPENGL_PLATFORM", None)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...core.geometry import invert
 from .camera import frustum, opencv_to_opengl, view_sphere_pose
-from .gl import backend, mujoco, open_context
+from .gl import backend, make_current, mujoco, open_context, release_current
 from .world import FAR, NEAR, GeomGroup, World, compile_world
 
 SAMPLES = 0
@@ -100,7 +100,9 @@ class Graphics:
         shape = (rect.height, rect.width)
         pixels = np.empty((*shape, 3), dtype=np.uint8)
         buffer = np.empty(shape, dtype=np.float32) if depth else None
+        make_current(self._gl)
         mujoco.mjr_readPixels(pixels, buffer, rect, self._context)
+        release_current()
         if buffer is not None:
             # The buffer holds d = near (far - z) / (z (far - near)), reversed for precision.
             buffer = buffer[::-1] * np.float32((FAR - NEAR) / (FAR * NEAR))
@@ -154,10 +156,13 @@ class Graphics:
         context = self._context
         return (0, 0) if context is None else (context.offHeight, context.offWidth)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Graphics, (self._world, self._data, self._versions)  # a copy opens its own context
+
     def close(self) -> None:
         """Frees the context; the next image opens a new one."""
         if self._context is not None and self._pid == os.getpid():
-            self._gl.make_current()
+            make_current(self._gl)
             self._context.free()
             self._gl.free()
         self._gl = self._context = self._scene = None
@@ -173,7 +178,7 @@ class Graphics:
             self._gl = self._context = None
         if self._context is None:
             self._gl = open_context(MAX_SIDE, MAX_SIDE)
-            self._gl.make_current()
+            make_current(self._gl)
             quality = model.vis.quality
             default = quality.offsamples, quality.shadowsize
             quality.offsamples, quality.shadowsize = SAMPLES, SHADOW_MAP_SIZE
@@ -192,7 +197,7 @@ class Graphics:
                 atexit.register(_close_all)
             _open_graphics.add(self)
         else:
-            self._gl.make_current()
+            make_current(self._gl)
         if width > self._context.offWidth or height > self._context.offHeight:
             mujoco.mjr_resizeOffscreen(
                 max(width, self._context.offWidth),

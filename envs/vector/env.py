@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -152,6 +152,12 @@ class TwoViewPoseVectorEnv(VectorEnv[Any, Any, Any]):
         observations, infos = self._reset_output(begun, infos)
         terminated = np.ones(self.num_envs, np.bool_)
         return observations, rewards, terminated, ~terminated, infos
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> NoReturn:
+        raise TypeError(
+            "a vector environment cannot be copied, since its scenes are in other processes: make "
+            "another, or copy a single environment"
+        )
 
     def render(self) -> tuple[Any, ...]:
         """Renders each sub-environment."""

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.geometry import check_intrinsics
+from ...core.geometry import check_depth, check_intrinsics
 from ...core.images import read_image
 from .boxes import Box
 from .fields import MM, read_json, rigid
@@ -193,7 +193,7 @@ def read_depth(image: BopImage) -> np.ndarray:
     if image.depth_path is None:
         raise InputError(f"scene {image.scene_id}, image {image.image_id} has no depth map")
     steps = read_image(image.depth_path, None)
-    return (steps * (image.depth_scale / MM)).astype(np.float32)
+    return check_depth(steps * (image.depth_scale / MM), steps.shape)
 
 
 def read_mask(annotation: BopAnnotation) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.geometry import check_rigid
+from ...core.text_files import read_text
 
 MM = 1000.0
 """Millimeters in a meter."""
@@ -79,7 +80,7 @@ def read_json(path: Path, kind: type | tuple[type, ...], report: Report = refuse
     try:
         # JSON readers take the last of equal keys; finding duplicates triples the time.
         hook = None if report is refuse else pairs
-        content = json.loads(path.read_text(), object_pairs_hook=hook)
+        content = json.loads(read_text(path), object_pairs_hook=hook)
     except FileNotFoundError:
         report(path, "file", "is missing", remedy="restore the file or write it again")
         return None

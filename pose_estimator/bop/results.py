@@ -17,6 +17,7 @@ import numpy as np
 from ...core.errors import InputError
 from ...core.files import write_atomically
 from ...core.geometry import check_rigid
+from ...core.text_files import read_text
 from .fields import MM, Place, read_numbers, read_transforms, rigid
 
 HEADER = "scene_id,im_id,obj_id,score,R,t,time"
@@ -86,11 +87,11 @@ def read_bop_results(
     """
     path = Path(path)
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path).splitlines()
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not a text file; estimates are a CSV: {HEADER}") from error
+    except InputError as error:
+        raise InputError(f"{error}; estimates are a CSV: {HEADER}") from error
     if not any(line.strip() for line in lines):
         raise InputError(f"{path} is empty; a file without estimates holds the header {HEADER}")
     rows, places = [], []

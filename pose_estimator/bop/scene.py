@@ -256,4 +256,8 @@ def _images_by_id(folder: Path) -> dict[int, Path]:
     if not folder.is_dir():
         return {}
     suffixes = (".png", ".jpg", ".jpeg", ".tif")
-    return {int(p.stem): p for p in folder.iterdir() if p.suffix in suffixes and p.stem.isdigit()}
+    return {
+        int(p.stem): p
+        for p in folder.iterdir()
+        if p.suffix.lower() in suffixes and p.stem.isdigit()
+    }

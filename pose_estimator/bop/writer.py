@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.files import write_atomically
+from ...core.files import naming, write_atomically
 from ...core.geometry import check_image, check_intrinsics, check_rigid
 from .dataset import BopAnnotation
 from .fields import MM
@@ -86,6 +86,15 @@ def write_scene(
     partial = final.with_name(f".{final.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     (partial / "rgb").mkdir(parents=True)
+    with naming(final):
+        _write_frames(partial, scene_id, frames, jpeg_quality)
+    partial.rename(final)
+    return final
+
+
+def _write_frames(
+    partial: Path, scene_id: int, frames: Iterable[BopFrame], jpeg_quality: int | None
+) -> None:
     cameras, poses, infos = {}, {}, {}
     for place, frame in enumerate(frames):
         image_id = place if frame.image_id is None else frame.image_id
@@ -99,8 +108,6 @@ def write_scene(
     write_json(partial / "scene_camera.json", cameras)
     write_json(partial / "scene_gt.json", poses)
     write_json(partial / "scene_gt_info.json", infos)
-    partial.rename(final)
-    return final
 
 
 def write_camera(root: str | Path, K: np.ndarray, image_size: tuple[int, int]) -> None:
@@ -171,7 +178,8 @@ def _write_pixels(
         if frame.depth.shape != shape or not np.isfinite(frame.depth).all():
             raise InputError(f"depth of {name} must be finite and of shape {shape}")
         (folder / "depth").mkdir(exist_ok=True)
-        steps = np.clip(np.round(frame.depth * (MM / DEPTH_SCALE)), 0, 65535).astype(np.uint16)
+        steps = np.maximum(np.round(frame.depth * (MM / DEPTH_SCALE)), 0)
+        steps = np.where(steps < 65536, steps, 0).astype(np.uint16)  # farther is unknown
         path = folder / "depth" / f"{image_id:06d}.png"
         path.write_bytes(encode_image(path, steps))
     count = len(frame.annotations)

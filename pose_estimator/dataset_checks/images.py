@@ -144,6 +144,7 @@ class ImageCheck:
                 remedy="register depth to color",
             )  # fmt: skip
             return None
+        steps = np.where(np.isfinite(steps), steps, 0)
         if not steps.any():
             self.findings.warning(
                 path, "pixels", "the depth map is empty", place=place,

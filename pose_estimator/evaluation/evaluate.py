@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
 from ..bop.dataset import BopDataset, read_dataset
@@ -19,7 +21,7 @@ from .config import EvaluateConfig
 from .evaluate_pairs import count_left_out, evaluate_pairs, target_pairs
 from .metrics import MeasuredObject
 from .oracle_rois import NOISE, GroundTruthRois
-from .outcomes import print_table, summarize
+from .outcomes import Outcome, print_table, summarize
 
 
 def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]) -> list[dict]:
@@ -65,6 +67,7 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     words = {"solver": "solver {}", "roi": "ground-truth ROI: {}"}
     print_table(records, ", ".join(words.get(k, "{}").format(tag) for k, tag in tags.items()))
     _print_left_out(config, pairs, matches, targets, len(outcomes))
+    _say_depth_use(outcomes)
     for gap in sorted({o.gap for o in outcomes if o.gap is not None}):
         group = [o for o in outcomes if o.gap == gap]
         records += summarize(group, {**tags, "gap": gap}, config.seed)
@@ -74,6 +77,26 @@ def evaluate_dataset(config: EvaluateConfig, root: Path, tags: Mapping[str, Any]
     if config.json is not None:
         write_results(config.json, records, command=_command(config), seed=config.seed)
     return records
+
+
+def _say_depth_use(outcomes: Sequence[Outcome]) -> None:
+    """Prints where depth maps were of no use."""
+    from ..fusion.depth_agreement import agrees, enough
+
+    uses = [o.depth_use for o in outcomes if o.depth_use is not None]
+    few = sum(not enough(use) for use in uses)
+    if few:
+        print(
+            f"{few} of {len(uses)} depth maps show too little of the object; with hardly a point "
+            "the answer is that of one view"
+        )
+    ratios = [use.distance / use.expected for use in uses if use.distance and not agrees(use)]
+    if ratios:
+        print(
+            f"in {len(ratios)} of {len(uses)} the depth map puts the object where the image does "
+            f"not, in the median at {np.median(ratios):.2g} times the distance; if these are many "
+            "check depth_scale in scene_camera.json (check-data does)"
+        )
 
 
 def _surfaces(

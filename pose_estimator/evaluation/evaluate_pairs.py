@@ -227,4 +227,6 @@ def _outcome(
         gap=pair.gap,
         estimate=BopResult(*row),
         uncertainty=float(np.sqrt(variance)),
+        scene_id=pair.scene_id,
+        depth_use=estimate.depth_use,
     )

@@ -1,10 +1,13 @@
-"""Means with their 95 percent intervals, by the percentile bootstrap.
+"""Means with their 95 percent intervals: of success rates by Wilson's score, of other values by the
+percentile bootstrap.
 
-:func:`bootstrap_interval` resamples independent values. Neighboring frames of a sequence are nearly
-the same image, so :func:`clustered_mean` resamples whole sequences (Efron and Tibshirani, *An
-Introduction to the Bootstrap*, chapter 8). Sequences without a common object, directly or through
-others, are resampled in separate strata, so that every resample has all objects equally often. A
-sequence that is alone in its stratum is resampled by frames.
+Neighboring frames of a sequence are nearly the same image, so whole sequences are resampled (Efron
+and Tibshirani, *An Introduction to the Bootstrap*, chapter 8). Sequences without a common object,
+directly or through others, are resampled in separate strata, so that every resample has all objects
+equally often. A sequence that is alone in its stratum is resampled by frames.
+
+A bootstrap of a few values is far too narrow, and one of equal outcomes has no width. So success
+rates have the intervals of ``score_interval.py``, and the mean of fewer than six other values none.
 """
 
 from collections.abc import Hashable, Sequence
@@ -15,43 +18,22 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ...core.errors import InputError
+from .score_interval import score_interval
 
 RESAMPLES = 2000
 
 QUANTILES = ((1 - 0.95) / 2, (1 + 0.95) / 2)
 """Of the resampled means: the ends of a 95 percent interval."""
 
+MIN_FREEDOM = 5
+"""Fewest sequences less strata, six sequences of one stratum: the range of five values covers the
+median of their distribution less often than 95 percent, whatever the distribution is."""
+
 MAX_DRAWS = 1_000_000
 """Values drawn at once, which bounds the memory for long lists."""
 
-
-def bootstrap_interval(
-    groups: Sequence[np.ndarray],
-    rng: np.random.Generator,
-    quantiles: tuple[float, float] = QUANTILES,
-) -> tuple[float, float]:
-    """Returns the interval of the mean over the groups' means, resampled within each group.
-
-    Args:
-        groups: one or more lists of values, (N_g,) each; for a recall the 0/1 outcomes.
-        rng: of the resampling.
-        quantiles: of the resampled means.
-
-    Raises:
-        InputError: if there are no groups, or one is not a non-empty list of numbers.
-    """
-    means = []
-    for values in groups:
-        if values.ndim != 1 or not values.size or np.isnan(values).any():
-            raise InputError(f"a group must be a non-empty list of numbers, got {values}")
-        rows = max(1, MAX_DRAWS // values.size)
-        shapes = [(min(rows, RESAMPLES - row), values.size) for row in range(0, RESAMPLES, rows)]
-        drawn = [values[rng.integers(values.size, size=shape)].mean(axis=1) for shape in shapes]
-        means.append(np.concatenate(drawn))
-    if not means:
-        raise InputError("there must be at least one group of values")
-    low, high = np.quantile(np.mean(means, axis=0), quantiles)
-    return float(low), float(high)
+TOO_FEW = "too few"
+"""What tables print where a mean has no interval."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +42,7 @@ class Estimate:
 
     Attributes:
         value: the mean over the groups' means.
-        low, high: ends of the interval; None where a stratum has a single value.
+        low, high: ends of the interval; None where there are too few values for one.
         n: number of values.
         sequences: number of sequences.
     """
@@ -77,15 +59,18 @@ def clustered_mean(
     sequences: Sequence[Hashable],
     groups: Sequence[Hashable] | None = None,
     *,
+    bounds: tuple[int, int] | None = None,
     seed: int = 0,
 ) -> Estimate:
-    """Computes the mean over the groups' means, and its percentile interval.
+    """Computes the mean over the groups' means, and its interval.
 
     Args:
         values: one for each pair of views.
         sequences: the sequence of each value.
         groups: the group of each value, such as its object; None: one group. Every group counts the
             same.
+        bounds: of the values, (0, 1), or (-1, 1) for differences of such values. Where all are
+            whole they count as outcomes.
         seed: of the resampling.
 
     Raises:
@@ -110,16 +95,32 @@ def clustered_mean(
 
     value = float(_mean_of_means(sums.sum(0, keepdims=True), counts.sum(0, keepdims=True))[0])
     total = (len(numbers), len(set(sequences)))
-    if np.bincount(strata).min() == 1:
+    if bounds is not None and np.isin(numbers, (*bounds, 0)).all():
+        ends = score_interval(numbers, cluster, group, differences=bounds[0] < 0)
+        return Estimate(value, *ends, *total)
+    sizes = np.bincount(strata)
+    if sizes.min() == 1 or len(strata) - len(sizes) < MIN_FREEDOM:
         return Estimate(value, None, None, *total)
-    rng = np.random.default_rng(seed)
-    times = np.zeros((RESAMPLES, len(strata)))
+    drawn = _resampled_means(sums, counts, strata, np.random.default_rng(seed))
+    low, high = np.quantile(drawn, QUANTILES)
+    return Estimate(value, float(low), float(high), *total)
+
+
+def _resampled_means(
+    sums: np.ndarray, counts: np.ndarray, strata: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Returns the means (R,) of resampled clusters, of sums and counts (C, G) and strata (C,)."""
+    drawn_sums, drawn_counts = (np.zeros((RESAMPLES, sums.shape[1])) for _ in range(2))
     for stratum in range(strata.max() + 1):
         members = np.flatnonzero(strata == stratum)
         shares = np.full(len(members), 1 / len(members))
-        times[:, members] = rng.multinomial(len(members), shares, size=RESAMPLES)
-    low, high = np.quantile(_mean_of_means(times @ sums, times @ counts), QUANTILES)
-    return Estimate(value, float(low), float(high), *total)
+        rows = max(1, MAX_DRAWS // len(members))
+        for start in range(0, RESAMPLES, rows):
+            part = slice(start, min(start + rows, RESAMPLES))
+            times = rng.multinomial(len(members), shares, size=part.stop - part.start)
+            drawn_sums[part] += times @ sums[members]
+            drawn_counts[part] += times @ counts[members]
+    return _mean_of_means(drawn_sums, drawn_counts)
 
 
 def _clusters(sequence: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,8 @@ import numpy as np
 
 from ...core.errors import InputError
 from ..bop.results import BopResult
-from .intervals import bootstrap_interval
+from ..types import DepthUse
+from .intervals import clustered_mean
 from .metrics import CORRECT
 
 MEASURES: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
@@ -18,8 +19,8 @@ MEASURES: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
 }
 """Metric -> its unit, and its value for one outcome."""
 
-_MEAN_QUANTILES = (0.025, 0.975)
-"""As in ``intervals``, but rounded: the last digit of an interval depends on it."""
+_BOUNDED = ("add_s_recall", "add_over_diameter")
+"""The metrics whose values are within 0 and 1."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,8 @@ class Outcome:
         gap: frames between the views of a sequence.
         estimate: the pose in the reference view, as a row of a result file.
         uncertainty: predicted standard deviation of the keypoints, m.
+        depth_use: what the depth map showed of the target, of methods with depth.
+        scene_id: its scene, whose outcomes resemble each other; None: it is alone in its scene.
     """
 
     object_name: str
@@ -49,36 +52,38 @@ class Outcome:
     gap: int | None = None
     estimate: BopResult | None = None
     uncertainty: float = 0.0
+    scene_id: int | None = None
+    depth_use: DepthUse | None = None
 
 
 def summarize(outcomes: Sequence[Outcome], tags: Mapping[str, Any], seed: int = 0) -> list[dict]:
     """Returns records of each metric for each object, and of the mean over the objects.
 
-    A metric that is not known for every outcome is left out.
+    A metric that is not known for every outcome is left out. Records of too few outcomes for an
+    interval have no ``low`` and ``high``.
 
     Raises:
         InputError: if there are no outcomes.
     """
     if not outcomes:
         raise InputError("there is no pair of views with a target to evaluate")
-    rng = np.random.default_rng(seed)
     names = list(dict.fromkeys(outcome.object_name for outcome in outcomes))
     records: list[dict] = []
     for metric, (unit, measure) in MEASURES.items():
         if any(measure(o) is None for o in outcomes):
             continue
-        groups = [np.array([measure(o) for o in outcomes if o.object_name == n]) for n in names]
-        rows = [
-            (name, values.mean(), bootstrap_interval([values], rng), len(values))
-            for name, values in zip(names, groups, strict=True)
-        ]
-        mean = np.mean([values.mean() for values in groups])
-        rows.append(("mean", mean, bootstrap_interval(groups, rng, _MEAN_QUANTILES), len(outcomes)))
-        records += [
-            {"metric": metric, "value": float(value), "unit": unit, "object": name,
-             "low": low, "high": high, "n": n, **tags}
-            for name, value, (low, high), n in rows
-        ]  # fmt: skip
+        for name in [*names, "mean"]:
+            rows = [o for o in outcomes if name in ("mean", o.object_name)]
+            mean = clustered_mean(
+                [measure(o) for o in rows],
+                [(i if o.scene_id is None else "scene", o.scene_id) for i, o in enumerate(rows)],
+                [o.object_name for o in rows],
+                bounds=(0, 1) if metric in _BOUNDED else None,
+                seed=seed,
+            )
+            ends = {} if mean.low is None else {"low": mean.low, "high": mean.high}
+            records.append({"metric": metric, "value": mean.value, "unit": unit, "object": name}
+                           | ends | {"n": mean.n, **tags})  # fmt: skip
     times = [o.seconds for o in outcomes if o.seconds is not None]
     if len(times) == len(outcomes):
         seconds = float(np.median(times))

@@ -98,7 +98,7 @@ def score_results(
         for truth, estimate, error in _matched(estimates[:count], instances[:count], model):
             score = 0.0 if estimate is None else estimate.score
             known = model.name, error, None, None, 0.0, truth.visibility, score
-            outcomes.append(Outcome(*known, estimate=estimate))
+            outcomes.append(Outcome(*known, estimate=estimate, scene_id=target.scene_id))
     return outcomes
 
 

@@ -17,7 +17,8 @@ from ...core.files import write_atomically
 from ...core.geometry import LINEMOD_K, View, check_intrinsics, check_rigid
 from ...core.images import read_image
 from ...core.results import write_results
-from ..input_files import read_depth_map, read_matrix
+from ..bop.depth_unit import stored_depth_unit
+from ..input_files import DepthMap, read_depth_map, read_matrix
 from ..methods import DEFAULT_METHOD, METHOD_TABLE, find_method
 
 if TYPE_CHECKING:
@@ -49,9 +50,10 @@ class EstimateConfig:
     needs --depth)."""
     depth: Path | None = None
     """Depth map of the reference image for `rgbd`, aligned with it: a 16-bit PNG or TIFF, or
-    a .npy; 0 = unknown."""
+    a .npy; 0, NaN and infinity = unknown."""
     depth_unit: float | None = None
-    """Meters per unit of the depth map; none = 0.001 for integers, 1 for floats."""
+    """Meters per unit of the depth map; none = that of its BOP dataset if it is in one, else 0.001
+    for integers, 1 for floats."""
     weights: str = "linemod"
     """Name of shipped weights, or a file."""
     device: str = "auto"
@@ -90,8 +92,31 @@ def parse_intrinsics(text: str) -> np.ndarray:
     return check_intrinsics(read_matrix(path, "K", ("K", "cam_K")))
 
 
-def read_views(config: EstimateConfig) -> list[View]:
+def read_depth(config: EstimateConfig) -> DepthMap | None:
+    """Reads the depth map that a method with depth needs; None for others.
+
+    Raises:
+        FileNotFoundError: if the file is missing.
+        InputError: if it is malformed, or goes with another method.
+    """
+    if find_method(config.method).needs_depth != (config.depth is not None):
+        needing = " or ".join(m.name for m in METHOD_TABLE.values() if m.needs_depth)
+        raise InputError(
+            f"depth and the method {needing} go together: it needs a depth map of the reference "
+            f"image, and no other method uses one (method is {config.method})"
+        )
+    if config.depth is None:
+        return None
+    given = config.depth_unit is not None
+    return read_depth_map(
+        config.depth, config.depth_unit if given else stored_depth_unit(config.depth)
+    )
+
+
+def read_views(config: EstimateConfig, depth: np.ndarray | None = None) -> list[View]:
     """Reads the images and cameras; the world is the reference camera's frame.
+
+    ``depth`` is the map of the reference, (H, W) meters.
 
     Raises:
         FileNotFoundError: if a file is missing.
@@ -99,14 +124,7 @@ def read_views(config: EstimateConfig) -> list[View]:
     """
     if (config.second is None) != (config.relative_pose is None):
         raise InputError("second and relative_pose go together: give both, or neither for one view")
-    if find_method(config.method).needs_depth != (config.depth is not None):
-        needing = " or ".join(m.name for m in METHOD_TABLE.values() if m.needs_depth)
-        raise InputError(
-            f"depth and the method {needing} go together: it needs a depth map of the reference "
-            f"image, and no other method uses one (method is {config.method})"
-        )
     K = parse_intrinsics(config.K)
-    depth = None if config.depth is None else read_depth_map(config.depth, config.depth_unit)
     views = [View(read_image(config.reference), K, np.eye(4), depth)]
     if config.second is not None and config.relative_pose is not None:
         image = read_image(config.second)
@@ -151,15 +169,19 @@ def estimate_files(config: EstimateConfig) -> None:
         InputError: if an input is wrong; the message names it.
     """
     check_device(config.device)
-    views = read_views(config)
+    depth = read_depth(config)
+    views = read_views(config, None if depth is None else depth.meters)
     # Only with valid inputs: this imports torch.
     from ..visualization import ESTIMATE_COLOR, draw_poses
+    from .depth_agreement import check_depth_use
     from .loading import load
 
     estimator = load(config.method, config.weights, device=config.device)
     started = perf_counter()
     answer = estimator.estimate(views, config.object)
     seconds = perf_counter() - started
+    if depth is not None and config.depth is not None and answer.depth_use is not None:
+        check_depth_use(answer.depth_use, config.object, config.depth, depth)
 
     found = describe(answer, config)
     write_atomically(config.out, (json.dumps(found, indent=1) + "\n").encode())
@@ -167,6 +189,8 @@ def estimate_files(config: EstimateConfig) -> None:
     print(f"{config.object} at x {x:+.4f}, y {y:+.4f}, z {z:+.4f} m in the reference camera")
     deviation = 1e3 * np.mean(found["keypoint_deviation_m"])
     print(f"keypoint uncertainty: {deviation:.1f} mm on average")
+    if depth is not None:
+        print(f"depth: read in units of {depth.unit:g} m")
     print(f"pose: {config.out}")
     if config.overlay is not None:
         model = estimator.networks.objects[config.object]

@@ -122,7 +122,7 @@ def find_weights(weights: str | Path) -> Path:
         FileNotFoundError: if there is none; names the shipped weights.
     """
     path = Path(weights)
-    if path.suffix == ".safetensors":
+    if path.suffix.lower() == ".safetensors":
         if path.is_file():
             return path
         raise FileNotFoundError(f"weights file {path} does not exist")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ...core.errors import InputError
-from ...core.files import write_atomically
+from ...core.files import naming, write_atomically
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class OutcomeLog:
     def add(self, outcomes: Iterable[PairOutcome]) -> None:
         """Appends outcomes to the file."""
         new = list(outcomes)
-        with self.path.open("a") as file:
+        with naming(self.path), self.path.open("a") as file:
             file.writelines(map(_line, new))
         self.outcomes += new
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ..evaluation.intervals import TOO_FEW
 from ..methods import METHODS, SOLVERS
 from . import published
 from .plan import BEST_GAP, DEFAULT_WEIGHTS, GAPS, has_both_errors
@@ -110,7 +111,7 @@ def recall_table(records: Records, scene: str) -> Table | None:
     gains: dict[str, list[str]] = {}
     for r in at_best:
         if r["metric"] == "add_s_recall_difference":
-            interval = _interval(r, "points") or "no interval"
+            interval = _interval(r, "points") or f"{TOO_FEW} for an interval"
             text = f"{_format(r['value'], 'points')} points over {r['against']} ({interval})"
             gains.setdefault(r["method"], []).append(text)
     notes = [f"{method}, pair by pair: {'; '.join(texts)}." for method, texts in gains.items()]
@@ -252,7 +253,8 @@ def _cell(record: Record, unit: str) -> Cell:
     """Makes the cell of a result with its interval."""
     if record is None:
         return Cell()
-    return Cell(_format(record["value"], unit), _interval(record, unit))
+    missing = TOO_FEW if "n" in record else ""  # a median has none
+    return Cell(_format(record["value"], unit), _interval(record, unit) or missing)
 
 
 def _marked(name: str) -> str:

@@ -1,7 +1,7 @@
 """Turns outcomes into the records of results.json: every result of the report.
 
-Intervals are of 95 percent, from a bootstrap over sequences (``evaluation/intervals.py``). Means
-weight all objects, and all gaps, equally.
+Intervals are of 95 percent, over sequences (``evaluation/intervals.py``). Means weight all objects,
+and all gaps, equally.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
@@ -211,7 +211,11 @@ def _record(
     Without an interval it has no ``low`` and ``high``.
     """
     groups = None if by is None else [by(o) for o in outcomes]
-    mean = clustered_mean(values, [o.scene_id for o in outcomes], groups)
+    rate = metric.removesuffix("_difference")
+    bounds = None
+    if rate.endswith(("recall", "over_diameter")):
+        bounds = (0, 1) if rate == metric else (-1, 1)
+    mean = clustered_mean(values, [o.scene_id for o in outcomes], groups, bounds=bounds)
     interval = {"low": mean.low, "high": mean.high} if mean.low is not None else {}
     counts = {"n": mean.n, "sequences": mean.sequences}
     return {"metric": metric, "value": mean.value, "unit": unit, **interval, **counts, **tags}

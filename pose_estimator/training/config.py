@@ -174,7 +174,7 @@ class TrainEstimatorConfig:
             require_within(self, 0, math.inf, "workers")
         if not all(0 <= value < math.inf for value in self.pose_noise):
             raise InputError(f"pose_noise must be finite and >= 0, got {self.pose_noise}")
-        if self.base is not None and self.base.endswith(".safetensors"):
+        if self.base is not None and self.base.lower().endswith(".safetensors"):
             raise InputError(f"base must be the name of shipped weights, got {self.base}")
         if self.augmentation not in ("mild", "strong"):
             raise InputError(f"augmentation must be mild or strong, got {self.augmentation!r}")

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...core.files import naming
 from ..methods import PARTS
 from .config import TrainEstimatorConfig
 
@@ -39,7 +40,7 @@ class TrainingLog:
     def __call__(self, stage: str, step: int, values: Mapping[str, float]) -> None:
         """Appends a line; values are named ``train/...`` or ``held_out/...``."""
         entry = {"stage": stage, "step": step, "time": round(time.time(), 1), **values}
-        with open(self._path, "a") as file:
+        with naming(self._path), open(self._path, "a") as file:
             file.write(json.dumps(entry) + "\n")
         self._remember(stage, values)
 

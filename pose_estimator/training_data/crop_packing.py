@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
-from ...core.files import write_atomically
+from ...core.files import naming, write_atomically
 from ...core.geometry import crop_matrix, project
 from ...core.image_crop import warp_crop
 from ..bop.dataset import (
@@ -111,6 +111,7 @@ def _pack(dataset: BopDataset, folder: Path, objects: Mapping[str, ObjectModel])
     rows: dict[str, list[Any]] = {}
     crop_end = frame_end = 0
     with (
+        naming(folder),
         open(folder / "crops.bin", "wb") as crop_file,
         open(folder / "frames.bin", "wb") as frame_file,
     ):
@@ -134,7 +135,8 @@ def _pack(dataset: BopDataset, folder: Path, objects: Mapping[str, ObjectModel])
         )
     temporary = folder / "index.tmp.npz"
     columns: dict[str, Any] = {name: np.asarray(values) for name, values in rows.items()}
-    np.savez(temporary, **columns)
+    with naming(temporary):
+        np.savez(temporary, **columns)
     os.replace(temporary, folder / "index.npz")
 
 

@@ -24,14 +24,15 @@ def find(records: list[dict], **tags: object) -> dict:
 
 
 def test_gap_closed() -> None:
-    rule, oracle = np.array([0.4, 0.6, 0.5]), np.array([0.1, 0.1, 0.1])
+    rule, oracle = np.array([0.4, 0.6, 0.5] * 4), np.full(12, 0.1)
     for share in (0.0, 0.5, 1.0, -0.3):
         policy = rule + share * (oracle - rule)
         value, low, high = gap_closed(policy, rule, oracle)
         assert (value, low, high) == pytest.approx((share,) * 3)
     assert gap_closed(rule, oracle, oracle) is None
-    value, low, high = gap_closed(np.array([0.1, 0.6, 0.5]), rule, oracle)
+    value, low, high = gap_closed(np.array([0.1, 0.6, 0.5] * 4), rule, oracle)
     assert low < value < high and value == pytest.approx(0.25)
+    assert gap_closed(rule[:5], rule[:5], oracle[:5]) == (0.0, None, None)
 
 
 def test_paired_difference_intervals() -> None:
@@ -61,13 +62,38 @@ def test_paired_difference_intervals() -> None:
 
 
 def test_repeated_scenes_do_not_narrow_intervals() -> None:
-    rows = [Outcome("cat", e, 0.3, 0.5, scene=i) for i, e in enumerate((0.05, 0.2, 0.6, 0.08))]
+    errors = (0.05, 0.2, 0.6, 0.08, 0.03, 1.2, 0.9)
+    rows = [Outcome("cat", e, 0.1 * e, 0.5, scene=i) for i, e in enumerate(errors)]
     once = make_records({"random": rows}, "heap")
     twice = make_records({"random": rows + rows}, "heap")
-    for metric in ("capped_add_over_diameter", "travel"):
+    for metric in ("add_s_recall", "capped_add_over_diameter", "travel"):
         tags = {"metric": metric, "object": "mean", "visibility": None}
-        assert find(twice, **tags) == find(once, **tags)
-    assert find(twice, metric="add_s_recall", object="mean", visibility=None)["n"] == 4
+        assert find(twice, **tags) == pytest.approx(find(once, **tags))
+        assert find(twice, **tags)["n"] == 7 and "low" in find(twice, **tags)
+
+
+@pytest.mark.parametrize("errors", [[0.01, 0.02] * 3, [5.0] * 14, [0.01] * 13 + [3.0]])
+def test_intervals_stay_within_what_is_possible(errors: list[float]) -> None:
+    rows = [Outcome("cat", e, float(e > 1), scene=i) for i, e in enumerate(errors)]
+    records = make_records({"stay": rows, "max-baseline": rows, "oracle": rows}, "heap")
+    largest = {"add_over_diameter": 5.0}
+    for record in records:
+        low, high = record["low"], record["high"]
+        smallest = -1 if "against" in record else 0
+        assert smallest <= low <= record["value"] <= high <= largest.get(record["metric"], 1)
+    recall = find(records, metric="add_s_recall", policy="stay", object="mean")
+    assert recall["high"] - recall["low"] > 0.2
+    of_itself = find(records, metric="add_s_recall_difference", policy="max-baseline")
+    assert of_itself["low"] == of_itself["high"] == 0.0
+
+
+def test_few_scenes_are_said(capsys: pytest.CaptureFixture[str]) -> None:
+    few = {"stay": outcomes([0.05, 0.2])}
+    records = make_records(few, "heap")
+    assert "low" not in find(records, metric="travel", object="mean", visibility=None)
+    assert find(records, metric="add_s_recall", object="mean", visibility=None)["low"] > 0
+    print_table(few, "scenes")
+    assert "0.125 (too few)" in capsys.readouterr().out
 
 
 def test_visibility_bins() -> None:

@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from stable_baselines3.common.evaluation import evaluate_policy
 from two_view_pose.agents.evaluation.evaluate_agent import evaluate_agents
 from two_view_pose.agents.networks.candidates import candidate_features
 from two_view_pose.agents.networks.checkpoint import read_agent
@@ -18,6 +19,7 @@ from two_view_pose.agents.policies.registry import make_policy
 from two_view_pose.agents.training import train_agent as train
 from two_view_pose.agents.training.config import EvaluateAgentConfig, TrainAgentConfig
 from two_view_pose.agents.training.train_agent import CHECKPOINT, train_agent
+from two_view_pose.core.errors import InputError
 from two_view_pose.envs.view_banks.bank import ViewBank, write_bank
 
 pytestmark = pytest.mark.slow
@@ -63,6 +65,8 @@ def config(make_bank: Make, tmp_path: Path) -> Callable[..., TrainAgentConfig]:
             "bank": tmp_path / "bank.npz", "validation": 6, "evaluate_every": 128, "steps": 384,
             "hyperparameters": path, "progress": False, "checkpoint_every": 128,
         }  # fmt: skip
+        if fields.get("algo") == "greedy":
+            del defaults["steps"]
         return TrainAgentConfig(out=tmp_path / out, **{**defaults, **fields})
 
     return make
@@ -115,6 +119,56 @@ def test_resumed_run_ends_with_the_same_policy(
         assert a.keys() == b.keys()
         for key, value in a.items():
             assert torch.equal(value, b[key]), key
+
+
+def validated_steps(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Collects the steps at which policies are validated."""
+    steps: list[int] = []
+
+    def spy(model: Any, *arguments: Any, **named: Any) -> Any:
+        steps.append(model.num_timesteps)
+        return evaluate_policy(model, *arguments, **named)
+
+    monkeypatch.setattr("stable_baselines3.common.callbacks.evaluate_policy", spy)
+    return steps
+
+
+def test_short_run_writes_its_policy(
+    config: Callable[..., TrainAgentConfig], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = train_agent(config(steps=100, evaluate_every=5000))
+    assert read_agent(path)[0].steps == 128
+    printed = capsys.readouterr().out
+    assert "whole rollouts of 128 steps" in printed and "128 steps instead of 100" in printed
+    path.unlink()
+    assert train_agent(config(steps=100, evaluate_every=5000)).exists()
+    assert "was missing: this is the last policy" in capsys.readouterr().out
+    train_agent(config(out="other", steps=256))
+    assert "whole rollouts" not in capsys.readouterr().out
+
+
+def test_resumed_run_validates_at_the_same_steps(
+    config: Callable[..., TrainAgentConfig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = validated_steps(monkeypatch)
+    train_agent(config(steps=128, evaluate_every=160))
+    train_agent(config(steps=384, evaluate_every=160))
+    assert steps == [128, 160, 320, 384]
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"algo": "sac", "steps": 64}, "steps must be > 64, since sac learns nothing before"),
+        ({"algo": "greedy", "steps": 64}, "steps has no effect with the algorithm greedy"),
+        ({"visibility_bank": Path("x.npz")}, "visibility_bank has no effect with the algorithm"),
+    ],
+)
+def test_training_without_effect_is_rejected(
+    fields: dict[str, Any], message: str, config: Callable[..., TrainAgentConfig]
+) -> None:
+    with pytest.raises(InputError, match=message):
+        train_agent(config(**fields))
 
 
 def test_pretrained_extractor(

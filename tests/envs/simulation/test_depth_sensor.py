@@ -167,7 +167,7 @@ def test_wrong_settings_are_named(change, message):
 
 
 def test_wrong_depth_is_refused():
-    with pytest.raises(ValueError, match="not negative"):
+    with pytest.raises(ValueError, match="must not be negative"):
         apply_depth_sensor(-np.ones((4, 4)), K, DepthSensorConfig(), np.random.default_rng(0))
 
 

@@ -7,10 +7,12 @@ import os
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from helpers import workers
+from two_view_pose.envs.simulation import gl
 
 MISSING = """
 import sys
@@ -82,3 +84,14 @@ def test_a_spawned_worker_renders_the_same_image() -> None:
     here: multiprocessing.Queue = multiprocessing.get_context("spawn").Queue()
     workers.render_duck(here)
     np.testing.assert_array_equal(here.get(timeout=10), theirs)
+
+
+def test_a_context_that_is_in_use_in_another_thread_is_an_error() -> None:
+    with ThreadPoolExecutor(1) as thread:
+        context = thread.submit(gl.open_context, 64, 64).result()
+        if gl.backend() == "egl":
+            with pytest.raises(gl.GraphicsUnavailable, match="but only in one at a time"):
+                gl.make_current(context)
+        thread.submit(gl.release_current).result()
+        gl.make_current(context)
+        context.free()

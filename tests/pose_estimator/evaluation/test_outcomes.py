@@ -1,8 +1,11 @@
 """Results that summarize outcomes, against hand-computed values."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.study_cases import only_record
+from scipy.stats import binomtest
 from two_view_pose.pose_estimator.evaluation.outcomes import Outcome, print_table, summarize
 
 
@@ -31,6 +34,25 @@ def test_the_interval_of_the_mean_is_about_the_mean():
     mean = only_record(summarize(outcomes, {}), "add_s_recall", object="mean")
     assert mean["value"] == 0.5
     assert mean["low"] <= 0.5 <= mean["high"]
+
+
+def test_a_few_pairs_of_objects_that_are_always_or_never_right_are_uncertain():
+    outcomes = [outcome(name, 0.01) for name in "aaaaabbbbb"] + [outcome("c", 2.0)] * 4
+    records = summarize(outcomes, {})
+    mean = only_record(records, "add_s_recall", object="mean")
+    assert mean["value"] == pytest.approx(2 / 3) and mean["high"] - mean["low"] > 0.2
+    never = only_record(records, "add_s_recall", object="c")
+    wilson = binomtest(0, 4).proportion_ci(method="wilson")
+    assert (never["low"], never["high"]) == pytest.approx((wilson.low, wilson.high))
+    assert "low" not in only_record(records, "keypoint_distance", object="c")
+
+
+def test_pairs_of_one_scene_are_not_independent():
+    pairs = [replace(outcome("a", 0.01 if s < 8 else 1.0), scene_id=s) for s in range(10)]
+    once, often = summarize(pairs, {}), summarize(pairs * 20, {})
+    for metric in ("add_s_recall", "keypoint_distance"):
+        wide, same = (only_record(r, metric, object="mean") for r in (once, often))
+        assert same["high"] - same["low"] == pytest.approx(wide["high"] - wide["low"], rel=0.15)
 
 
 def test_nothing_to_evaluate_is_an_error():

@@ -1,6 +1,7 @@
 """``rgbd`` with perfect 2D votes and ideal depth, and a network that fits what it is given."""
 
 import copy
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import torch
 from helpers.boxes import box_depth
 from scipy.spatial.transform import Rotation
 from torch import nn
+from two_view_pose.core.errors import InputError
 from two_view_pose.core.geometry import (
     LINEMOD_K,
     View,
@@ -17,9 +19,11 @@ from two_view_pose.core.geometry import (
     project,
     transform,
 )
+from two_view_pose.pose_estimator.fusion.depth_agreement import agrees, check_depth_use, enough
 from two_view_pose.pose_estimator.fusion.frontend import EncodedView
 from two_view_pose.pose_estimator.fusion.rgbd import RgbdEstimator
 from two_view_pose.pose_estimator.fusion.single import SingleViewEstimator
+from two_view_pose.pose_estimator.input_files import DepthMap
 from two_view_pose.pose_estimator.networks.container import PoseNetworks
 from two_view_pose.pose_estimator.networks.point_voting import PointConfig, PointVotes
 from two_view_pose.pose_estimator.types import Roi
@@ -83,7 +87,7 @@ class FitsCenter(nn.Module):
         rays = np.concatenate([project(points, LINEMOD_K), np.ones((len(points), 1))], 1)
         rays = rays @ np.linalg.inv(LINEMOD_K).T
         seen = np.array([box_hit(model, ray) for ray in rays])
-        shift = np.median(points[:, 2] - seen)  # along the ray of the middle
+        shift = np.nanmedian(points[:, 2] - seen) if np.isfinite(seen).any() else 0.0
         keypoints = transform(T_CAM_OBJ, model.keypoints) + np.array([0, 0, shift])
         keypoints = torch.from_numpy(keypoints).float()[None]
         covariance = torch.eye(3).expand(1, 9, 3, 3) * 1e-6
@@ -160,6 +164,44 @@ def test_holes_are_tolerated_and_an_empty_depth_map_falls_back_to_single(estimat
     single.frontend = estimator.frontend
     expected = single.estimate([view(depth)], "brick")
     np.testing.assert_allclose(blind.T_cam_obj, expected.T_cam_obj)
+    assert blind.depth_use.points == 0 and blind.depth_use.distance is None
+    assert found.depth_use.points > 100
+
+
+def test_what_depth_shows_is_compared_with_the_size_in_the_image(estimator, depth):
+    right = estimator.estimate([view(depth)], "brick").depth_use
+    assert agrees(right) and enough(right)
+    seen = T_CAM_OBJ[2, 3]
+    assert right.expected == pytest.approx(seen, rel=0.01)
+    assert right.distance == pytest.approx(seen, rel=0.1)
+    check_depth_use(right, "brick", Path("d.png"), DepthMap(depth, 0.001))
+    # 0.1 mm steps, as of our generator, read as millimeters.
+    far = estimator.estimate([view(10 * depth)], "brick").depth_use
+    assert far.distance == pytest.approx(10 * right.distance)
+    with pytest.raises(InputError, match=r"d.png puts brick .* --depth-unit 0.0001 would fit"):
+        check_depth_use(far, "brick", Path("d.png"), DepthMap(10 * depth, 0.001))
+
+
+@pytest.mark.parametrize("unknown", [0.0, np.nan, np.inf, -np.inf])
+def test_nan_and_infinity_mean_not_seen(unknown, estimator, depth):
+    cut = depth.copy()
+    cut[:, ::2] = unknown
+    zero = estimator.estimate([view(np.where(np.isfinite(cut), cut, 0))], "brick")
+    found = estimator.estimate([view(cut)], "brick")
+    np.testing.assert_array_equal(found.T_cam_obj, zero.T_cam_obj)
+    assert found.depth_use == zero.depth_use
+
+
+def test_an_object_beyond_the_sensors_range_is_refused(estimator, depth):
+    cut = np.where(depth < 1.0, np.nan, depth)  # only the table is left
+    use = estimator.estimate([view(cut)], "brick").depth_use
+    with pytest.raises(InputError, match=r"knows \d+ points of brick, \d % of its pixels"):
+        check_depth_use(use, "brick", Path("d.png"), DepthMap(cut, 0.001))
+
+
+def test_negative_depth_is_refused(depth):
+    with pytest.raises(InputError, match=r"depth must not be negative .* got -1\.1"):
+        view(-depth)
 
 
 def test_further_views_are_ignored_and_answers_repeat(estimator, depth):

@@ -88,7 +88,7 @@ def test_differences_are_of_the_same_pairs():
     records = difference_records(mid, rgbd, {"method": "mid", "against": "rgbd", "scene": "x"})
     gain = only_record(records, "add_s_recall_difference", gap=10)
     assert gain["value"] == pytest.approx(0.5)  # of scenes 0 and 1
-    assert (gain["n"], gain["low"], gain["high"]) == (2, 0.0, 1.0)
+    assert gain["n"] == 2 and gain["low"] < 0 < 0.9 < gain["high"]  # two pairs prove nothing
     assert difference_records(mid, [outcome(7)], {}) == []
 
 
