@@ -1,42 +1,194 @@
-"""Reads image files."""
+"""Reads image files: photographs, depth maps and masks, with OpenCV's colors.
 
+Every image that a user gives is decoded here. Bits, palettes and transparency are as in
+``cv2.imread``; what has no defined gray levels, such as floating point, is refused by name.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
+from warnings import filterwarnings
 
 import numpy as np
-from PIL import Image
+from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 
 from .errors import InputError
 
+MAX_PIXELS = 180_000_000
+"""Larger images are refused: decoding one takes seven bytes a pixel."""
 
-def read_image(path: Path, mode: Literal["RGB", "L"] | None = "RGB") -> np.ndarray:
-    """Decodes an image file.
+_NOT_DECODED = (".heic", ".heif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".exr", ".hdr")
+_AS_PNG = "write it with 8 or 16 bits a channel, such as a PNG"
+_WHITE_IS_ZERO = 0
+_UNDO: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+    2: lambda upright: upright[:, ::-1],
+    3: lambda upright: upright[::-1, ::-1],
+    4: lambda upright: upright[::-1],
+    5: lambda upright: upright.swapaxes(0, 1),
+    6: lambda upright: np.rot90(upright),
+    7: lambda upright: upright[::-1, ::-1].swapaxes(0, 1),
+    8: lambda upright: np.rot90(upright, -1),
+}
+"""EXIF orientation -> from the upright image to its stored pixels."""
+
+# Pillow warns of large images, which are refused here where they are too large.
+filterwarnings("ignore", category=Image.DecompressionBombWarning)
+
+
+def read_image(path: Path, mode: Literal["RGB"] | None = "RGB") -> np.ndarray:
+    """Decodes an image file; an EXIF orientation is ignored.
+
+    Stored pixels are what masks, boxes and camera matrices of datasets refer to.
 
     Args:
         path: the file.
-        mode: ``RGB``; ``L`` for gray; None for the file's own, such as 16-bit depth.
+        mode: ``RGB``; None for the file's own bits and channels, such as 16-bit depth.
 
     Returns:
-        uint8, (H, W, 3) for RGB and (H, W) for gray; else the file's own type and channels.
+        (H, W, 3) uint8 for RGB; else the file's own type and channels.
 
     Raises:
         OSError: if the file cannot be opened.
-        InputError: if it is not an image, or truncated or corrupted.
+        InputError: if it is not an image, truncated or damaged, too large, or without a defined
+            conversion to RGB.
     """
-    try:
-        with Image.open(path) as image:
-            return np.array(image if mode in (None, image.mode) else image.convert(mode))
-    except Exception as error:  # decoders raise all kinds of errors
-        if getattr(error, "errno", None):
-            raise
-        raise InputError(f"{path} is not an image file (PNG, JPEG, ...) or truncated") from error
+    with _opened(path) as image:
+        return _stored(image, lambda: np.array(image) if mode is None else to_rgb(image, str(path)))
+
+
+def read_photograph(path: Path) -> tuple[np.ndarray, int]:
+    """Decodes a photograph and turns it upright by its EXIF orientation, as ``cv2.imread`` does.
+
+    Returns:
+        (H, W, 3) uint8 RGB, and the orientation, 1 to 8; 1 is upright.
+
+    Raises:
+        OSError, InputError: as `read_image`.
+    """
+    with _opened(path) as image:
+        orientation = _orientation(image)
+        turns = orientation != 1 and image.format != "TIFF"  # which Pillow turns by itself
+        upright = ImageOps.exif_transpose(image) if turns else image
+        return to_rgb(upright, str(path)), orientation
+
+
+def read_mask(path: Path) -> np.ndarray:
+    """Decodes a mask of any mode and bits: bool (H, W), whether a pixel is not black.
+
+    Raises:
+        OSError, InputError: as `read_image`.
+    """
+    with _opened(path) as image:
+        colored = image.mode in ("P", "PA", "LA", "La", "RGBA", "RGBa", "CMYK")
+        pixels = _stored(image, lambda: to_rgb(image, str(path)) if colored else np.array(image))
+        return pixels.any(axis=2) if pixels.ndim == 3 else pixels != 0
 
 
 def read_image_size(path: Path) -> tuple[int, int]:
-    """Reads height and width from an image file's header.
+    """Reads height and width of the stored pixels from an image file's header.
 
     Raises:
-        OSError: if the file cannot be opened, or is not an image.
+        OSError, InputError: as `read_image`.
     """
-    with Image.open(path) as image:
-        return image.height, image.width
+    with _opened(path) as image:
+        turned = image.format == "TIFF" and _orientation(image) >= 5
+        width, height = image.size[::-1] if turned else image.size
+        return height, width
+
+
+def read_orientation(path: Path) -> int:
+    """Reads the EXIF orientation, 1 to 8, from an image file's header; 1 where it has none.
+
+    Raises:
+        OSError, InputError: as `read_image`.
+    """
+    with _opened(path) as image:
+        return _orientation(image)
+
+
+def to_rgb(image: Image.Image, name: str) -> np.ndarray:
+    """Converts a decoded image of any mode to (H, W, 3) uint8 as OpenCV does.
+
+    16 bits are divided by 256; transparency is dropped.
+
+    Args:
+        image: from Pillow, whose own conversion clips 16 bits to 255.
+        name: of the image, for errors.
+
+    Raises:
+        InputError: if the mode has no defined conversion.
+    """
+    mode = image.mode
+    if mode.startswith("I;16") or (mode == "I" and image.format == "PPM"):
+        tags = getattr(image, "tag_v2", {})
+        bits = int(tags.get(ExifTags.Base.BitsPerSample, (16,))[0])
+        gray = (np.asarray(image).astype(np.uint16) >> (bits - 8)).astype(np.uint8)
+        if tags.get(ExifTags.Base.PhotometricInterpretation) == _WHITE_IS_ZERO:
+            gray = 255 - gray  # Pillow inverts 8 bits only
+        return np.repeat(gray[..., None], 3, axis=2)
+    if mode in ("F", "I"):
+        kind = "floating-point numbers" if mode == "F" else "32-bit integers"
+        raise InputError(f"{name} holds {kind}, whose white is not defined: {_AS_PNG}")
+    if mode in ("PA", "RGBa", "La"):
+        image = image.convert("RGBA")
+    image.info.pop("transparency", None)  # Pillow warns where it drops it
+    try:
+        return np.array(image if image.mode == "RGB" else image.convert("RGB"))
+    except ValueError as error:
+        raise InputError(f"{name} has colors of mode {mode}, which are not read: {_AS_PNG}") from (
+            error
+        )
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """Opens an image file; what Pillow raises while it is open becomes one of two errors."""
+    try:
+        with Image.open(path) as image:
+            _check_header(image, path)
+            yield image
+    except (InputError, MemoryError):
+        raise
+    except UnidentifiedImageError as error:
+        hint = ""
+        if Path(path).suffix.lower() in _NOT_DECODED:
+            hint = f"; {Path(path).suffix} is not read: convert it to PNG or JPEG"
+        raise InputError(f"{path} is not an image file (PNG, JPEG, ...){hint}") from error
+    except Image.DecompressionBombError as error:
+        raise _too_large(f"{path}", str(error)) from error
+    except Exception as error:  # decoders raise all kinds of errors
+        if getattr(error, "errno", None):
+            raise
+        raise InputError(f"{path} is a truncated or damaged image ({error})") from error
+
+
+def _check_header(image: Image.Image, path: Path) -> None:
+    if image.width * image.height > MAX_PIXELS:
+        raise _too_large(f"{path}", f"{image.width}x{image.height} pixels")
+    reduced = getattr(image, "tag_v2", {}).get(ExifTags.Base.NewSubfileType, 0) & 1
+    if reduced and image.format == "TIFF":
+        raise InputError(f"{path} is a raw photograph that begins with a preview: {_AS_PNG}")
+
+
+def _too_large(name: str, detail: str) -> InputError:
+    return InputError(
+        f"{name} is too large ({detail}); at most {MAX_PIXELS // 10**6} megapixels are read: scale "
+        "the image down, and fx, fy, cx and cy with it"
+    )
+
+
+def _orientation(image: Image.Image) -> int:
+    """The EXIF orientation of an image that is open and not yet decoded."""
+    try:
+        found = image.getexif().get(ExifTags.Base.Orientation, 1)
+    except Exception:  # damaged EXIF data say nothing of the pixels
+        return 1
+    return found if found in _UNDO else 1
+
+
+def _stored(image: Image.Image, decode: Callable[[], np.ndarray]) -> np.ndarray:
+    """Decodes an image and undoes that Pillow turns a TIFF by its orientation."""
+    orientation = _orientation(image) if image.format == "TIFF" else 1
+    pixels = decode()
+    return pixels if orientation == 1 else np.ascontiguousarray(_UNDO[orientation](pixels))

@@ -1,14 +1,13 @@
 """Checks a sample of a scene's images, masks and depth maps, and that poses agree with them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from ...core.geometry import check_intrinsics
-from ...core.images import read_image
+from ...core.images import read_image, read_mask, read_orientation
 from ..bop.fields import MM, Place, rigid
 from ..bop.scene import Scene
 from .boxes import check_mask
@@ -50,7 +49,7 @@ class ImageCheck:
             Number of wrong projections, and number of projections compared.
         """
         image_path, place = scene.images[image_id], Place(scene.scene_id, image_id)
-        rgb = self._open(image_path, "RGB", place)
+        rgb = self._open(read_image, image_path, place)
         if rgb is None:
             return 0, 0
         self.checked += 1
@@ -62,6 +61,14 @@ class ImageCheck:
                 detail=f"{shape[1]}x{shape[0]}, camera.json has {expected[1]}x{expected[0]}",
                 cause="the images were scaled or cropped without the camera",
                 remedy="scale cam_K like the images, and correct camera.json",
+            )  # fmt: skip
+        if (orientation := read_orientation(image_path)) != 1:
+            self.findings.warning(
+                image_path, "orientation", "the image has an EXIF orientation", place=place,
+                detail=f"orientation {orientation}",
+                cause="a camera or phone wrote it; its stored pixels are used, as by masks and "
+                "cam_K, but other programs turn it",
+                remedy="remove the tag, such as with exiftool -Orientation=",
             )  # fmt: skip
         depth = self._depth(scene, image_id, shape, place)
         K = scene.K[scene.image_id == image_id][0]
@@ -92,11 +99,8 @@ class ImageCheck:
         path = scene.mask_path(row)
         mask = None
         if path.is_file():
-            gray = self._open(path, "L", place)
-            if gray is None:
-                return None
-            mask = gray > 0
-            if not check_mask(scene, row, mask, shape, self.findings):
+            mask = self._open(read_mask, path, place)
+            if mask is None or not check_mask(scene, row, mask, shape, self.findings):
                 return None
         model = self.models.get(int(rows.obj_id[row]))
         evidence = _evidence(scene, row, shape, mask)
@@ -128,7 +132,7 @@ class ImageCheck:
         path = scene.depths.get(image_id)
         if path is None:
             return None
-        steps = self._open(path, None, place)
+        steps = self._open(lambda file: read_image(file, None), path, place)
         if steps is None:
             return None
         if steps.ndim != 2 or steps.dtype.itemsize < 2:
@@ -156,16 +160,16 @@ class ImageCheck:
         return steps * (scene.depth_scale[scene.image_id == image_id][0] / MM)
 
     def _open(
-        self, path: Path, mode: Literal["RGB", "L"] | None, place: Place
+        self, read: Callable[[Path], np.ndarray], path: Path, place: Place
     ) -> np.ndarray | None:
         """Returns the decoded image file, or None with a finding."""
         try:
-            return read_image(path, mode)
-        except (OSError, ValueError):
+            return read(path)
+        except (OSError, ValueError) as error:
             self.findings.error(
                 path, "pixels", "cannot be read as an image", place=place,
-                detail=f"{path.stat().st_size} bytes" if path.exists() else "",
-                cause="truncated by a full disk or an interrupted download",
+                detail=str(error).removeprefix(f"{path} "),
+                cause="truncated by a full disk or an interrupted download, or of an unusual kind",
                 remedy="download or write it again",
             )  # fmt: skip
             return None
