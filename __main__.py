@@ -7,11 +7,12 @@ read, so that help is quick.
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TextIO
 
-from .core.errors import InputError
+from .core.errors import InputError, InputWarning
 
 PROGRAM = "two_view_pose"
 
@@ -115,6 +116,21 @@ def message(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
+def show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Prints a warning of wrong input as one line, others as Python does."""
+    text = warnings.formatwarning(message, category, filename, lineno, line)
+    if issubclass(category, InputWarning):
+        text = f"warning: {' '.join(str(message).split())}\n"
+    (file or sys.stderr).write(text)
+
+
 def find(place: str) -> Any:
     """What stands at ``module:name`` below this package."""
     module, name = place.split(":")
@@ -153,7 +169,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{PROGRAM} {__version__}")
         return 0
     try:
-        return run(given)
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", InputWarning)
+            warnings.showwarning = show_warning
+            return run(given)
     except (InputError, OSError) as error:
         if debug:
             raise

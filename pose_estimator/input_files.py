@@ -1,8 +1,11 @@
 """Reads matrices and depth maps from a user's files."""
 
+import errno
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -10,39 +13,96 @@ from ..core.errors import InputError
 from ..core.images import read_image
 
 
-def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray:
-    """Reads a matrix from .json (nested lists, or an object that holds one), .txt or .npy.
+def read_content(path: Path, name: str) -> Any:
+    """Reads numbers from .json, .npy, .npz, OpenCV's or ROS' .yml, .yaml and .xml, or text.
 
     Args:
         path: the file.
         name: of the argument, for errors.
-        keys: of a JSON object, the first that is there is read.
 
     Returns:
-        float64; a list of 9 or 16 numbers is reshaped to 3x3 or 4x4.
+        An array or nested lists, or a dictionary that holds some.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        InputError: if it does not hold numbers.
+    """
+    suffix = path.suffix.lower()
+    try:
+        if suffix in (".npy", ".npz"):
+            values = np.load(path, allow_pickle=False)
+            return values if suffix == ".npy" else dict(values)
+        if suffix == ".json":
+            return json.loads(path.read_text(encoding="utf-8"))
+        if suffix in (".yml", ".yaml", ".xml"):
+            return _read_storage(path)
+        return np.loadtxt(path, delimiter="," if "," in path.read_text() else None)
+    except (EOFError, ValueError, TypeError, BadZipFile) as error:
+        raise InputError(f"{name}: {path} holds no matrix of numbers ({error})") from error
+
+
+def read_matrix(
+    path: Path, name: str, keys: tuple[str, ...] = (), content: Any = None
+) -> np.ndarray:
+    """Reads a matrix from a file of numbers; see `read_content`.
+
+    Args:
+        path: the file.
+        name: of the argument, for errors.
+        keys: of a dictionary, the first that is there is read.
+        content: of the file where it was read before.
+
+    Returns:
+        float64; a list of 9, 12 or 16 numbers is reshaped to 3x3, 3x4 or 4x4.
 
     Raises:
         FileNotFoundError: if there is no such file.
         InputError: if it does not hold a matrix of numbers.
     """
+    values = read_content(path, name) if content is None else content
     try:
-        if path.suffix == ".npy":
-            values: Any = np.load(path, allow_pickle=False)
-        elif path.suffix == ".json":
-            values = json.loads(path.read_text(encoding="utf-8"))
-            if isinstance(values, dict):
-                found = [key for key in keys if key in values]
-                if not found:
-                    raise InputError(f"has none of the keys {', '.join(keys)}")
-                values = values[found[0]]
-        else:
-            values = np.loadtxt(path, delimiter="," if "," in path.read_text() else None)
+        if isinstance(values, dict):
+            found = [key for key in keys if key in values]
+            if not found:
+                raise InputError(f"has none of the keys {', '.join(keys)}")
+            values = values[found[0]]
+            if isinstance(values, dict) and "data" in values:
+                values = values["data"]
         matrix = np.asarray(values, dtype=np.float64)
     except (ValueError, TypeError) as error:
         raise InputError(f"{name}: {path} holds no matrix of numbers ({error})") from error
-    if matrix.size in (9, 16) and matrix.ndim == 1:
-        matrix = matrix.reshape(round(matrix.size**0.5), -1)
-    return matrix
+    shapes = {9: (3, 3), 12: (3, 4), 16: (4, 4)}
+    return matrix.reshape(shapes[matrix.size]) if _is_list(matrix, shapes) else matrix
+
+
+def _is_list(matrix: np.ndarray, shapes: Mapping[int, tuple[int, int]]) -> bool:
+    return matrix.size in shapes and matrix.size in matrix.shape
+
+
+def _read_storage(path: Path) -> dict[str, Any]:
+    """Returns the numbers and matrices of OpenCV's FileStorage, which reads ROS' files too."""
+    import cv2  # not for --help
+
+    if not path.is_file():
+        raise FileNotFoundError(errno.ENOENT, "No such file", str(path))
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        root = storage.root()
+        found: dict[str, Any] = {}
+        for key in root.keys():  # noqa: SIM118
+            node = storage.getNode(key)
+            data = node.getNode("data") if node.isMap() else node
+            if data.isSeq():
+                found[key] = [_number(data.at(i)) for i in range(data.size())]
+            elif node.isReal() or node.isInt():
+                found[key] = node.real()
+        return found
+    except (cv2.error, SystemError) as error:
+        raise ValueError("it is not of cv2.FileStorage") from error
+
+
+def _number(node: Any) -> Any:
+    return [node.at(i).real() for i in range(node.size())] if node.isSeq() else node.real()
 
 
 _MIN_MEDIAN, _MAX_MEDIAN = 0.05, 30.0
@@ -63,7 +123,7 @@ def read_depth_map(path: Path, unit: float | None = None) -> np.ndarray:
     if unit is not None and not 0 < unit < float("inf"):
         raise InputError(f"depth_unit must be positive, in meters, got {unit}")
     try:
-        npy = path.suffix == ".npy"
+        npy = path.suffix.lower() == ".npy"
         steps = np.load(path, allow_pickle=False) if npy else read_image(path, None)
     except (EOFError, ValueError) as error:
         raise InputError(f"depth {path} is neither an image file nor a .npy array") from error

@@ -157,8 +157,8 @@ WRONG = {
         {"relative-pose": lambda i: write(i, "T2.json", json.dumps(SCALED))},
         "relative_pose is not rigid",
     ),
-    "pose 3x4": (
-        {"relative-pose": lambda i: write(i, "T.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n")},
+    "pose 3x3": (
+        {"relative-pose": lambda i: write(i, "T.txt", "1 0 0\n0 1 0\n0 0 1\n")},
         "relative_pose must be a 4x4",
     ),
     "pose no numbers": (
@@ -220,8 +220,10 @@ class KnownPose:
     def __init__(self, T_cam_obj):
         self.T_cam_obj = T_cam_obj
 
+    views = ()
+
     def estimate(self, views, object_name):
-        self.views = views
+        self.views = max(self.views, views, key=len)
         return SimpleNamespace(
             T_cam_obj=self.T_cam_obj,
             keypoints=load_object(object_name).keypoints + self.T_cam_obj[:3, 3],

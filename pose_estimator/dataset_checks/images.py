@@ -3,11 +3,12 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from ...core.geometry import check_intrinsics
-from ...core.images import read_image, read_mask, read_orientation
+from ...core.images import read_image, read_mask, read_photograph
 from ..bop.fields import MM, Place, rigid
 from ..bop.scene import Scene
 from .boxes import check_mask
@@ -16,6 +17,8 @@ from .findings import Findings
 from .meshes import CheckedModel
 from .projection import FAIR, GOOD, MIN_PIXELS, MIN_VISIBLE, Projection
 from .projection_score import Evidence
+
+Decoded = TypeVar("Decoded")
 
 
 @dataclass
@@ -49,9 +52,10 @@ class ImageCheck:
             Number of wrong projections, and number of projections compared.
         """
         image_path, place = scene.images[image_id], Place(scene.scene_id, image_id)
-        rgb = self._open(read_image, image_path, place)
-        if rgb is None:
+        opened = self._open(lambda file: read_photograph(file, upright=False), image_path, place)
+        if opened is None:
             return 0, 0
+        rgb, orientation = opened
         self.checked += 1
         shape = (rgb.shape[0], rgb.shape[1])
         expected = self.camera_size
@@ -62,7 +66,7 @@ class ImageCheck:
                 cause="the images were scaled or cropped without the camera",
                 remedy="scale cam_K like the images, and correct camera.json",
             )  # fmt: skip
-        if (orientation := read_orientation(image_path)) != 1:
+        if orientation != 1:
             self.findings.warning(
                 image_path, "orientation", "the image has an EXIF orientation", place=place,
                 detail=f"orientation {orientation}",
@@ -159,9 +163,7 @@ class ImageCheck:
             return None
         return steps * (scene.depth_scale[scene.image_id == image_id][0] / MM)
 
-    def _open(
-        self, read: Callable[[Path], np.ndarray], path: Path, place: Place
-    ) -> np.ndarray | None:
+    def _open(self, read: Callable[[Path], Decoded], path: Path, place: Place) -> Decoded | None:
         """Returns the decoded image file, or None with a finding."""
         try:
             return read(path)
