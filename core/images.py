@@ -4,6 +4,7 @@ Every image that a user gives is decoded here. Bits, palettes and transparency a
 ``cv2.imread``; what has no defined gray levels, such as floating point, is refused by name.
 """
 
+import io
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,9 +15,13 @@ import numpy as np
 from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 
 from .errors import InputError
+from .files import write_atomically
 
-MAX_PIXELS = 180_000_000
-"""Larger images are refused: decoding one takes seven bytes a pixel."""
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".bmp")
+"""Of images that can be written."""
+
+MAX_PIXELS = 120_000_000
+"""Larger images are refused: two, and decoding one, take 13 bytes a pixel."""
 
 _NOT_DECODED = (".heic", ".heif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".exr", ".hdr")
 _AS_PNG = "write it with 8 or 16 bits a channel, such as a PNG"
@@ -53,12 +58,19 @@ def read_image(path: Path, mode: Literal["RGB"] | None = "RGB") -> np.ndarray:
         InputError: if it is not an image, truncated or damaged, too large, or without a defined
             conversion to RGB.
     """
+    if mode == "RGB":
+        return read_photograph(path, upright=False)[0]
     with _opened(path) as image:
-        return _stored(image, lambda: np.array(image) if mode is None else to_rgb(image, str(path)))
+        return _stored(*_decode(image), np.array(image))
 
 
-def read_photograph(path: Path) -> tuple[np.ndarray, int]:
-    """Decodes a photograph and turns it upright by its EXIF orientation, as ``cv2.imread`` does.
+def read_photograph(path: Path, *, upright: bool = True) -> tuple[np.ndarray, int]:
+    """Decodes a photograph.
+
+    Args:
+        path: the file.
+        upright: whether it is turned upright by its EXIF orientation, as ``cv2.imread`` does;
+            False: the stored pixels.
 
     Returns:
         (H, W, 3) uint8 RGB, and the orientation, 1 to 8; 1 is upright.
@@ -67,10 +79,14 @@ def read_photograph(path: Path) -> tuple[np.ndarray, int]:
         OSError, InputError: as `read_image`.
     """
     with _opened(path) as image:
-        orientation = _orientation(image)
-        turns = orientation != 1 and image.format != "TIFF"  # which Pillow turns by itself
-        upright = ImageOps.exif_transpose(image) if turns else image
-        return to_rgb(upright, str(path)), orientation
+        orientation, turned = _decode(image)
+        if not upright:
+            return _stored(orientation, turned, to_rgb(image, str(path))), orientation
+        if turned or orientation == 1:
+            return to_rgb(image, str(path)), orientation
+        rotated = ImageOps.exif_transpose(image)
+        rotated.format = image.format
+        return to_rgb(rotated, str(path)), orientation
 
 
 def read_mask(path: Path) -> np.ndarray:
@@ -80,8 +96,10 @@ def read_mask(path: Path) -> np.ndarray:
         OSError, InputError: as `read_image`.
     """
     with _opened(path) as image:
+        orientation, turned = _decode(image)
         colored = image.mode in ("P", "PA", "LA", "La", "RGBA", "RGBa", "CMYK")
-        pixels = _stored(image, lambda: to_rgb(image, str(path)) if colored else np.array(image))
+        pixels = to_rgb(image, str(path)) if colored else np.array(image)
+        pixels = _stored(orientation, turned, pixels)
         return pixels.any(axis=2) if pixels.ndim == 3 else pixels != 0
 
 
@@ -92,19 +110,9 @@ def read_image_size(path: Path) -> tuple[int, int]:
         OSError, InputError: as `read_image`.
     """
     with _opened(path) as image:
-        turned = image.format == "TIFF" and _orientation(image) >= 5
-        width, height = image.size[::-1] if turned else image.size
-        return height, width
-
-
-def read_orientation(path: Path) -> int:
-    """Reads the EXIF orientation, 1 to 8, from an image file's header; 1 where it has none.
-
-    Raises:
-        OSError, InputError: as `read_image`.
-    """
-    with _opened(path) as image:
-        return _orientation(image)
+        tags = getattr(image, "tag_v2", {})  # a TIFF's size is that after turning it
+        width = tags.get(ExifTags.Base.ImageWidth, image.width)
+        return int(tags.get(ExifTags.Base.ImageLength, image.height)), int(width)
 
 
 def to_rgb(image: Image.Image, name: str) -> np.ndarray:
@@ -120,7 +128,7 @@ def to_rgb(image: Image.Image, name: str) -> np.ndarray:
         InputError: if the mode has no defined conversion.
     """
     mode = image.mode
-    if mode.startswith("I;16") or (mode == "I" and image.format == "PPM"):
+    if mode.startswith("I;16") or (mode == "I" and image.format in ("PNG", "PPM")):
         tags = getattr(image, "tag_v2", {})
         bits = int(tags.get(ExifTags.Base.BitsPerSample, (16,))[0])
         gray = (np.asarray(image).astype(np.uint16) >> (bits - 8)).astype(np.uint8)
@@ -141,6 +149,14 @@ def to_rgb(image: Image.Image, name: str) -> np.ndarray:
         )
 
 
+def write_image(path: Path, image: np.ndarray) -> None:
+    """Writes an image (H, W, 3) uint8 RGB atomically, as its suffix says; see `IMAGE_SUFFIXES`."""
+    buffer = io.BytesIO()
+    kind = Image.registered_extensions()[path.suffix.lower()]
+    Image.fromarray(image).save(buffer, kind)
+    write_atomically(path, buffer.getvalue())
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
     """Opens an image file; what Pillow raises while it is open becomes one of two errors."""
@@ -156,7 +172,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
             hint = f"; {Path(path).suffix} is not read: convert it to PNG or JPEG"
         raise InputError(f"{path} is not an image file (PNG, JPEG, ...){hint}") from error
     except Image.DecompressionBombError as error:
-        raise _too_large(f"{path}", str(error)) from error
+        raise _too_large(path) from error
     except Exception as error:  # decoders raise all kinds of errors
         if getattr(error, "errno", None):
             raise
@@ -165,30 +181,36 @@ def _opened(path: Path) -> Iterator[Image.Image]:
 
 def _check_header(image: Image.Image, path: Path) -> None:
     if image.width * image.height > MAX_PIXELS:
-        raise _too_large(f"{path}", f"{image.width}x{image.height} pixels")
+        raise _too_large(path, f" ({image.width}x{image.height} pixels)")
     reduced = getattr(image, "tag_v2", {}).get(ExifTags.Base.NewSubfileType, 0) & 1
     if reduced and image.format == "TIFF":
         raise InputError(f"{path} is a raw photograph that begins with a preview: {_AS_PNG}")
 
 
-def _too_large(name: str, detail: str) -> InputError:
+def _too_large(path: Path, size: str = "") -> InputError:
     return InputError(
-        f"{name} is too large ({detail}); at most {MAX_PIXELS // 10**6} megapixels are read: scale "
-        "the image down, and fx, fy, cx and cy with it"
+        f"{path} is too large{size}; at most {MAX_PIXELS // 10**6} megapixels are read: scale the "
+        "image down, and fx, fy, cx and cy with it"
     )
 
 
-def _orientation(image: Image.Image) -> int:
-    """The EXIF orientation of an image that is open and not yet decoded."""
+def _decode(image: Image.Image) -> tuple[int, bool]:
+    """Decodes an image; returns its EXIF orientation and whether Pillow has turned it upright.
+
+    It turns TIFFs, and then drops their tag. The EXIF data of a PNG may come after its pixels.
+    """
+    tag = ExifTags.Base.Orientation
+    before = getattr(image, "tag_v2", {}).get(tag)
+    image.load()
     try:
-        found = image.getexif().get(ExifTags.Base.Orientation, 1)
+        after = image.getexif().get(tag)
     except Exception:  # damaged EXIF data say nothing of the pixels
-        return 1
-    return found if found in _UNDO else 1
+        after = None
+    orientation = before or after
+    turned = before is not None and after is None
+    return (orientation, turned) if orientation in _UNDO else (1, False)
 
 
-def _stored(image: Image.Image, decode: Callable[[], np.ndarray]) -> np.ndarray:
-    """Decodes an image and undoes that Pillow turns a TIFF by its orientation."""
-    orientation = _orientation(image) if image.format == "TIFF" else 1
-    pixels = decode()
-    return pixels if orientation == 1 else np.ascontiguousarray(_UNDO[orientation](pixels))
+def _stored(orientation: int, turned: bool, pixels: np.ndarray) -> np.ndarray:
+    """Undoes that Pillow has turned an image."""
+    return np.ascontiguousarray(_UNDO[orientation](pixels)) if turned else pixels
