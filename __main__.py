@@ -64,7 +64,7 @@ COMMANDS = {
         "ADD(-S) of an estimator on our scenes or on a BOP data set",
     ),
     "estimate": Command(
-        "pose_estimator.fusion.estimate_files:EstimateConfig",
+        "pose_estimator.fusion.estimate_config:EstimateConfig",
         "pose_estimator.fusion.estimate_files:estimate_files",
         "the pose of an object in your own two photographs",
     ),

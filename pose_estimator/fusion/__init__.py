@@ -1,6 +1,7 @@
 """The estimators, one method a file: ``single``, ``early``, ``late``, ``mid``, ``pnp``, ``rgbd``.
 
 ``frontend.py`` detects and encodes views, ``estimator.py`` is the base class, ``one_view.py`` and
-``joint_pnp.py`` fit poses to votes, ``loading.py`` loads an estimator with its weights, and
-``estimate_files.py`` is the command ``estimate``.
+``joint_pnp.py`` fit poses to votes, and ``loading.py`` loads an estimator with its weights. The
+command ``estimate`` is ``estimate_files.py``; it reads its input by ``view_files.py`` and doubts it by
+``view_checks.py``.
 """

@@ -1,10 +1,7 @@
 """Reads the views of the command ``estimate``: photographs, cameras and depth, which must agree."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,10 +11,8 @@ from ...core.images import read_photograph
 from ..camera_files import Intrinsics, parse_intrinsics, read_relative_pose
 from ..input_files import read_depth_map
 from ..methods import METHOD_TABLE, find_method
+from .estimate_config import EstimateConfig
 from .view_checks import check_cameras, check_photographs
-
-if TYPE_CHECKING:
-    from .estimate_files import EstimateConfig
 
 
 def read_views(config: EstimateConfig) -> tuple[list[View], list[str]]:
@@ -72,10 +67,10 @@ def _read_photographs(
                 "the upright photograph, as OpenCV reads it"
             )
     differ = len(set(orientations)) > 1
-    orientation = " and ".join(map(str, orientations))
+    given = " and ".join(map(str, orientations))
     if len({image.shape for image in images}) > 1:
         sizes = [f"{image.shape[1]}x{image.shape[0]}" for image in images]
-        hint = f" (after turning them by their EXIF orientations {orientation})" if differ else ""
+        hint = f" (after turning them by their EXIF orientations {given})" if differ else ""
         raise InputError(
             "reference and second must have the same size, since K is that of both: "
             f"reference is {sizes[0]}, second is {sizes[1]}{hint}"
@@ -83,7 +78,7 @@ def _read_photographs(
     doubts = []
     if differ:
         doubts.append(
-            f"reference and second have different EXIF orientations ({orientation}): they are "
+            f"reference and second have different EXIF orientations ({given}): they are "
             "turned upright, so one K suits both only if its principal point is the image center, "
             "and relative_pose must be that of the upright photographs"
         )

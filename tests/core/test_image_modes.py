@@ -158,11 +158,13 @@ def test_orientation_is_obeyed_in_photographs_alone(tmp_path, orientation, suffi
     np.testing.assert_allclose(found.astype(int), of_opencv(path), atol=2)
 
 
+@pytest.mark.filterwarnings("ignore:Corrupt EXIF")
 def test_damaged_exif_data_do_not_hide_a_photograph(tmp_path):
     Image.fromarray(RGB).save(tmp_path / "a.jpg", exif=b"Exif\0\0II*\0\xff\xff\xff\xff")
     assert read_photograph(tmp_path / "a.jpg")[1] == 1
 
 
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
 @pytest.mark.parametrize(("width", "height"), [(12800, 9600), (16320, 12240)])
 def test_too_many_pixels_are_refused_by_name(tmp_path, width, height):
     assert width * height > MAX_PIXELS

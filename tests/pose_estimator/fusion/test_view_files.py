@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from two_view_pose.core.errors import InputError
 from two_view_pose.core.geometry import LINEMOD_K
-from two_view_pose.pose_estimator.fusion.estimate_files import EstimateConfig
+from two_view_pose.pose_estimator.fusion.estimate_config import EstimateConfig
 from two_view_pose.pose_estimator.fusion.view_files import read_views
 
 SQUARE_K = "500,500,99.5,99.5"
