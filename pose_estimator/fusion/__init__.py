@@ -2,6 +2,6 @@
 
 ``frontend.py`` detects and encodes views, ``estimator.py`` is the base class, ``one_view.py`` and
 ``joint_pnp.py`` fit poses to votes, and ``loading.py`` loads an estimator with its weights. The
-command ``estimate`` is ``estimate_files.py``; it reads its input by ``view_files.py`` and doubts it by
-``view_checks.py``.
+command ``estimate`` is ``estimate_files.py``; ``view_files.py`` reads its input, ``view_checks.py``
+doubts it.
 """
