@@ -174,7 +174,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     except Image.DecompressionBombError as error:
         raise _too_large(path) from error
     except Exception as error:  # decoders raise all kinds of errors
-        if getattr(error, "errno", None):
+        if getattr(error, "filename", None):  # it could not be opened
             raise
         raise InputError(f"{path} is a truncated or damaged image ({error})") from error
 

@@ -5,7 +5,6 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -30,15 +29,31 @@ def read_content(path: Path, name: str) -> Any:
     suffix = path.suffix.lower()
     try:
         if suffix in (".npy", ".npz"):
-            values = np.load(path, allow_pickle=False)
-            return values if suffix == ".npy" else dict(values)
+            return load_arrays(path)
         if suffix == ".json":
             return json.loads(path.read_text(encoding="utf-8"))
         if suffix in (".yml", ".yaml", ".xml"):
             return _read_storage(path)
         return np.loadtxt(path, delimiter="," if "," in path.read_text() else None)
-    except (EOFError, ValueError, TypeError, BadZipFile) as error:
+    except (ValueError, TypeError) as error:
         raise InputError(f"{name}: {path} holds no matrix of numbers ({error})") from error
+
+
+def load_arrays(path: Path) -> Any:
+    """Returns the array of a .npy file, or the dictionary of arrays of a .npz file.
+
+    Raises:
+        OSError: if it cannot be opened.
+        ValueError: if it is truncated or damaged.
+    """
+    try:
+        with path.open("rb") as stream:
+            values = np.load(stream, allow_pickle=False)
+            return values if isinstance(values, np.ndarray) else dict(values)
+    except Exception as error:  # NumPy and zipfile raise all kinds of errors
+        if getattr(error, "filename", None):  # it could not be opened
+            raise
+        raise ValueError(f"it is truncated or damaged: {error}") from error
 
 
 def read_matrix(
@@ -124,8 +139,8 @@ def read_depth_map(path: Path, unit: float | None = None) -> np.ndarray:
         raise InputError(f"depth_unit must be positive, in meters, got {unit}")
     try:
         npy = path.suffix.lower() == ".npy"
-        steps = np.load(path, allow_pickle=False) if npy else read_image(path, None)
-    except (EOFError, ValueError) as error:
+        steps = load_arrays(path) if npy else read_image(path, None)
+    except ValueError as error:
         raise InputError(f"depth {path} is neither an image file nor a .npy array") from error
     if steps.ndim != 2 or steps.dtype.kind not in "uif" or steps.dtype == np.uint8:
         raise InputError(

@@ -101,6 +101,7 @@ def test_tiffs_of_twelve_bits_and_with_white_as_zero(tmp_path):
         ("i.tif", RAMP.astype(np.int32), "32-bit integers"),
         ("photo.heic", b"\0\0\0\x18ftypheic", "heic is not read: convert"),
         ("empty.jpg", b"", "is not an image file"),
+        ("offset.tif", tiff(8, bytes(24), (6, 4)).replace(bytes([122, 0, 0, 0]), b"\xff" * 4), ""),
     ],
 )
 def test_what_has_no_defined_colors_is_refused_by_name(tmp_path, name, pixels, match):

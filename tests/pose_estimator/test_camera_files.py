@@ -92,6 +92,18 @@ def test_other_files_are_refused_by_name(tmp_path, name, content, match):
         parse_intrinsics(str(written(tmp_path / name, content)))
 
 
+@pytest.mark.parametrize("name", ["K.npy", "K.npz", "K.json", "K.xml", "K.yml"])
+@pytest.mark.parametrize("read", [lambda path: parse_intrinsics(str(path)), read_relative_pose])
+def test_truncated_files_are_refused(tmp_path, name, read):
+    plain = {"K.npy": K, "K.json": K.tolist()}
+    path = written(tmp_path / name, plain.get(name, {"K": K}))
+    content = path.read_bytes()
+    for share in (0, 0.1, 0.4, 0.7):
+        path.write_bytes(content[: int(share * len(content))])
+        with pytest.raises(InputError, match=name):
+            read(path)
+
+
 @pytest.mark.parametrize("key", ["D", "dist_coeffs", "distortion_coefficients", "k1"])
 def test_distortion_is_not_ignored_in_silence(tmp_path, key):
     path = written(tmp_path / "K.json", {"K": K.tolist(), key: [0.1, -0.2, 0, 0, 0]})
