@@ -8,13 +8,14 @@ read, so that help is quick.
 import errno
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TextIO
 
 from .core.closed_output import close_broken_output
-from .core.errors import InputError
+from .core.errors import InputError, InputWarning
 from .core.files import check_output
 
 PROGRAM = "two_view_pose"
@@ -71,7 +72,7 @@ COMMANDS = {
         "ADD(-S) of an estimator on our scenes or on a BOP data set",
     ),
     "estimate": Command(
-        "pose_estimator.fusion.estimate_files:EstimateConfig",
+        "pose_estimator.fusion.estimate_config:EstimateConfig",
         "pose_estimator.fusion.estimate_files:estimate_files",
         "the pose of an object in your own two photographs",
         writes_file=True,
@@ -124,6 +125,21 @@ def message(error: Exception) -> str:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         return text + "; free some, then run the same command again" * full
     return " ".join(str(error).split()) or type(error).__name__
+
+
+def show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Prints a warning of wrong input as one line, others as Python does."""
+    text = warnings.formatwarning(message, category, filename, lineno, line)
+    if issubclass(category, InputWarning):
+        text = f"warning: {' '.join(str(message).split())}\n"
+    (file or sys.stderr).write(text)
 
 
 def find(place: str) -> Any:
@@ -196,7 +212,10 @@ def _main(arguments: Sequence[str] | None) -> int:
         print(f"{PROGRAM} {__version__}")
         return 0
     try:
-        return run(given)
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", InputWarning)
+            warnings.showwarning = show_warning
+            return run(given)
     except BrokenPipeError:
         raise
     except (InputError, OSError) as error:

@@ -14,6 +14,7 @@ from PIL import Image
 
 from ..core.errors import InputError
 from ..core.files import write_atomically
+from ..core.images import to_rgb
 from .object_model import ObjectModel
 
 FORMAT_VERSION = 1
@@ -114,10 +115,10 @@ def _without_surface(bounds: np.ndarray, known: dict[str, Any]) -> ObjectModel:
 def _read_glb(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Vertices, faces, uv and texture of the one mesh in a GLB file."""
     (mesh,) = trimesh.load_scene(path, process=False).geometry.values()
-    texture = mesh.visual.material.baseColorTexture.convert("RGB")
+    texture = to_rgb(mesh.visual.material.baseColorTexture, f"the texture of {path}")
     return (
         np.asarray(mesh.vertices, dtype=np.float64),
         np.asarray(mesh.faces, dtype=np.int32),
         np.asarray(mesh.visual.uv, dtype=np.float32),
-        np.array(texture),
+        texture,
     )

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import trimesh
 
+from ..core.images import to_rgb
 from .texture import sample_texture
 
 DEFAULT_COLOR = np.array([0.62, 0.62, 0.62])
@@ -87,4 +88,4 @@ def _image_and_factor(
         image = getattr(material, "image", None)
         # With a texture, exporters write any diffuse color, and viewers ignore it.
         color = np.ones(3) if image is not None else np.asarray(material.main_color[:3]) / 255.0
-    return (None if image is None else np.asarray(image.convert("RGB"))), color
+    return (None if image is None else to_rgb(image, "the texture")), color

@@ -1,6 +1,8 @@
 """Reads matrices and depth maps from a user's files."""
 
+import errno
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,40 +14,113 @@ from ..core.images import read_image
 from ..core.text_files import read_text
 
 
-def read_matrix(path: Path, name: str, keys: tuple[str, ...] = ()) -> np.ndarray:
-    """Reads a matrix from .json (nested lists, or an object that holds one), .txt or .npy.
+def read_content(path: Path, name: str) -> Any:
+    """Reads numbers from .json, .npy, .npz, OpenCV's or ROS' .yml, .yaml and .xml, or text.
 
     Args:
         path: the file.
         name: of the argument, for errors.
-        keys: of a JSON object, the first that is there is read.
 
     Returns:
-        float64; a list of 9 or 16 numbers is reshaped to 3x3 or 4x4.
+        An array or nested lists, or a dictionary that holds some.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        InputError: if it does not hold numbers.
+    """
+    suffix = path.suffix.lower()
+    try:
+        if suffix in (".npy", ".npz"):
+            return load_arrays(path)
+        if suffix == ".json":
+            return json.loads(read_text(path))
+        if suffix in (".yml", ".yaml", ".xml"):
+            return _read_storage(path)
+        text = read_text(path)
+        return np.loadtxt(text.splitlines(), delimiter="," if "," in text else None)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{name}: {path} holds no matrix of numbers ({error})") from error
+
+
+def load_arrays(path: Path) -> Any:
+    """Returns the array of a .npy file, or the dictionary of arrays of a .npz file.
+
+    Raises:
+        OSError: if it cannot be opened.
+        ValueError: if it is truncated or damaged.
+    """
+    try:
+        with path.open("rb") as stream:
+            values = np.load(stream, allow_pickle=False)
+            return values if isinstance(values, np.ndarray) else dict(values)
+    except Exception as error:  # NumPy and zipfile raise all kinds of errors
+        if getattr(error, "filename", None):  # it could not be opened
+            raise
+        raise ValueError(f"it is truncated or damaged: {error}") from error
+
+
+def read_matrix(
+    path: Path, name: str, keys: tuple[str, ...] = (), content: Any = None
+) -> np.ndarray:
+    """Reads a matrix from a file of numbers; see `read_content`.
+
+    Args:
+        path: the file.
+        name: of the argument, for errors.
+        keys: of a dictionary, the first that is there is read.
+        content: of the file where it was read before.
+
+    Returns:
+        float64; a list of 9, 12 or 16 numbers is reshaped to 3x3, 3x4 or 4x4.
 
     Raises:
         FileNotFoundError: if there is no such file.
         InputError: if it does not hold a matrix of numbers.
     """
+    values = read_content(path, name) if content is None else content
     try:
-        if path.suffix.lower() == ".npy":
-            values: Any = np.load(path, allow_pickle=False)
-        elif path.suffix.lower() == ".json":
-            values = json.loads(read_text(path))
-            if isinstance(values, dict):
-                found = [key for key in keys if key in values]
-                if not found:
-                    raise InputError(f"has none of the keys {', '.join(keys)}")
-                values = values[found[0]]
-        else:
-            text = read_text(path)
-            values = np.loadtxt(text.splitlines(), delimiter="," if "," in text else None)
+        if isinstance(values, dict):
+            found = [key for key in keys if key in values]
+            if not found:
+                raise InputError(f"has none of the keys {', '.join(keys)}")
+            values = values[found[0]]
+            if isinstance(values, dict) and "data" in values:
+                values = values["data"]
         matrix = np.asarray(values, dtype=np.float64)
     except (ValueError, TypeError) as error:
         raise InputError(f"{name}: {path} holds no matrix of numbers ({error})") from error
-    if matrix.size in (9, 16) and matrix.ndim == 1:
-        matrix = matrix.reshape(round(matrix.size**0.5), -1)
-    return matrix
+    shapes = {9: (3, 3), 12: (3, 4), 16: (4, 4)}
+    return matrix.reshape(shapes[matrix.size]) if _is_list(matrix, shapes) else matrix
+
+
+def _is_list(matrix: np.ndarray, shapes: Mapping[int, tuple[int, int]]) -> bool:
+    return matrix.size in shapes and matrix.size in matrix.shape
+
+
+def _read_storage(path: Path) -> dict[str, Any]:
+    """Returns the numbers and matrices of OpenCV's FileStorage, which reads ROS' files too."""
+    import cv2  # not for --help
+
+    if not path.is_file():
+        raise FileNotFoundError(errno.ENOENT, "No such file", str(path))
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        root = storage.root()
+        found: dict[str, Any] = {}
+        for key in root.keys():  # noqa: SIM118
+            node = storage.getNode(key)
+            data = node.getNode("data") if node.isMap() else node
+            if data.isSeq():
+                found[key] = [_number(data.at(i)) for i in range(data.size())]
+            elif node.isReal() or node.isInt():
+                found[key] = node.real()
+        return found
+    except (cv2.error, SystemError) as error:
+        raise ValueError("it is not of cv2.FileStorage") from error
+
+
+def _number(node: Any) -> Any:
+    return [node.at(i).real() for i in range(node.size())] if node.isSeq() else node.real()
 
 
 _MIN_MEDIAN, _MAX_MEDIAN = 0.05, 30.0
@@ -80,8 +155,8 @@ def read_depth_map(path: Path, unit: float | None = None) -> DepthMap:
         raise InputError(f"depth_unit must be positive, in meters, got {unit}")
     try:
         npy = path.suffix.lower() == ".npy"
-        steps = np.load(path, allow_pickle=False) if npy else read_image(path, None)
-    except (EOFError, ValueError) as error:
+        steps = load_arrays(path) if npy else read_image(path, None)
+    except ValueError as error:
         raise InputError(f"depth {path} is neither an image file nor a .npy array") from error
     if steps.ndim != 2 or steps.dtype.kind not in "uif" or steps.dtype == np.uint8:
         raise InputError(

@@ -11,6 +11,9 @@ from ..core.geometry import check_image, check_intrinsics, check_rigid, transfor
 TRUE_COLOR = (57, 190, 88)
 ESTIMATE_COLOR = (255, 122, 26)
 
+MAX_OVERLAY_SIDE = 1920
+"""Pixels: larger photographs are scaled down for an overlay, whose lines would be too thin."""
+
 _MIN_DEPTH = 0.01  # meters; nearer faces are left out of a silhouette
 _SHIFT = 4  # cv2's fixed point: 1/16 of a pixel
 _THICKNESS = 2  # pixels
@@ -97,3 +100,18 @@ def draw_poses(
         if polygons:
             cv2.polylines(canvas, polygons, True, color, _THICKNESS, cv2.LINE_AA, _SHIFT)
     return canvas
+
+
+def draw_overlay(
+    image: np.ndarray, model: Shape, poses: Mapping[tuple[int, int, int], np.ndarray], K: np.ndarray
+) -> np.ndarray:
+    """`draw_poses` on an image that is scaled down to `MAX_OVERLAY_SIDE` where it is larger."""
+    height, width = check_image(image).shape[:2]
+    factor = MAX_OVERLAY_SIDE / max(height, width)
+    if factor >= 1:
+        return draw_poses(image, model, poses, K)
+    small = (max(1, round(factor * width)), max(1, round(factor * height)))
+    x, y = small[0] / width, small[1] / height
+    # Pixel centers: 0 is the center of the first pixel of both.
+    scaled = np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]]) @ K
+    return draw_poses(cv2.resize(image, small, interpolation=cv2.INTER_AREA), model, poses, scaled)

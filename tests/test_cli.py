@@ -165,8 +165,8 @@ WRONG = {
         {"relative-pose": lambda i: write(i, "T2.json", json.dumps(SCALED))},
         "relative_pose is not rigid",
     ),
-    "pose 3x4": (
-        {"relative-pose": lambda i: write(i, "T.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n")},
+    "pose 3x3": (
+        {"relative-pose": lambda i: write(i, "T.txt", "1 0 0\n0 1 0\n0 0 1\n")},
         "relative_pose must be a 4x4",
     ),
     "pose no numbers": (
@@ -203,6 +203,8 @@ WRONG = {
         {"method": lambda i: "rgbd", "depth": lambda i: depth_map(i), "depth-unit": lambda i: 0},
         "depth_unit must be positive",
     ),
+    "overlay of no image": (dict(overlay=lambda i: i.folder / "o.txt"), "overlay must end in .png"),
+    "overlay is a folder": (dict(overlay=lambda i: i.folder), "overlay must end in .png"),
     "no relative pose": ({"relative-pose": lambda i: None}, "second and relative_pose go together"),
 }
 
@@ -233,8 +235,10 @@ class KnownPose:
     def __init__(self, T_cam_obj):
         self.T_cam_obj = T_cam_obj
 
+    views = ()
+
     def estimate(self, views, object_name):
-        self.views = views
+        self.views = max(self.views, views, key=len)
         return SimpleNamespace(
             T_cam_obj=self.T_cam_obj,
             keypoints=load_object(object_name).keypoints + self.T_cam_obj[:3, 3],
@@ -260,6 +264,8 @@ def test_estimate_hands_over_the_views_and_draws_the_pose(inputs, monkeypatch, c
     pose = json.loads(inputs.options["out"].read_text())
     np.testing.assert_allclose(pose["T_cam_obj"], T_cam_obj, atol=1e-8)
     np.testing.assert_allclose(pose["keypoint_deviation_m"], np.sqrt(3e-6))
+    # The same pose in both cameras disagrees with a camera that moved.
+    assert 0 <= pose["confidence"] < 0.5 and "views disagree" in pose["warnings"][0]
 
     drawn = np.asarray(Image.open(inputs.options["overlay"])).astype(int)
     assert drawn.shape == (480, 1280, 3)
@@ -273,7 +279,9 @@ def test_estimate_hands_over_the_views_and_draws_the_pose(inputs, monkeypatch, c
     results = json.loads(inputs.options["json"].read_text())
     metrics = [record["metric"] for record in results["records"]]
     assert metrics.count("detection_score") == 2 and "seconds_per_pair" in metrics
-    assert "x +0.0500, y -0.0300, z +0.9000 m" in capsys.readouterr().out
+    out, err = capsys.readouterr()
+    assert "x +0.0500, y -0.0300, z +0.9000 m" in out and "confidence: 0." in out
+    assert [f"warning: {doubt}" for doubt in pose["warnings"]] == err.splitlines()
 
 
 def test_estimate_from_one_photograph(inputs, monkeypatch):

@@ -14,6 +14,7 @@ import numpy as np
 from ...core.errors import InputError
 from ...core.geometry import check_depth, check_intrinsics
 from ...core.images import read_image
+from ...core.images import read_mask as read_mask_file
 from .boxes import Box
 from .fields import MM, read_json, rigid
 from .gt_info import measure_masks
@@ -174,7 +175,7 @@ def require_masks(dataset: BopDataset) -> None:
 
 
 def read_rgb(image: BopImage) -> np.ndarray:
-    """Returns the image as RGB uint8, (H, W, 3).
+    """Returns the image as RGB uint8, (H, W, 3), in stored pixels: EXIF orientation is ignored.
 
     Raises:
         OSError: if the file cannot be opened.
@@ -205,7 +206,7 @@ def read_mask(annotation: BopAnnotation) -> np.ndarray:
     """
     if annotation.mask_visib_path is None:
         raise InputError(f"the dataset has no mask of object {annotation.obj_id}")
-    return read_image(annotation.mask_visib_path, "L") > 0
+    return read_mask_file(annotation.mask_visib_path)
 
 
 def _annotations(scene: Scene) -> dict[int, list[BopAnnotation]]:

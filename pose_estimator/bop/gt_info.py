@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...core.images import read_image
+from ...core.images import read_mask
 from .boxes import NO_BOX, bounding_box
 from .scene import Scene, SceneAnnotations
 
@@ -43,6 +43,6 @@ def measure_masks(scene: Scene) -> SceneAnnotations:
 def read_binary_mask(path: Path) -> np.ndarray | None:
     """Returns a mask, bool (H, W), or None where the file is missing or broken."""
     try:
-        return read_image(path, "L") > 0
+        return read_mask(path)
     except (OSError, ValueError):
         return None

@@ -7,14 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...core.geometry import invert, make_transform
-
-OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-"""OpenGL's camera (y up, z backward) to OpenCV's (y down, z forward)."""
-
-RESOLUTIONS = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 0.8, 1.25, 4 / 3, 1.5, 2.0, 3.0, 4.0)
-"""Common ratios between the image sizes of one camera."""
-
-WRITE_K = "write fx, 0, cx, 0, fy, cy, 0, 0, 1"
+from ..camera_mistakes import OPENGL, RESOLUTIONS, WRITE_K
 
 ORIGINS = (0.35, 0.65)
 """Range of a corrected principal point, as fractions of the image's sides."""

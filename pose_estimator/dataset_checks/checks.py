@@ -184,7 +184,7 @@ def _size(scene: Scene) -> tuple[int, int] | None:
     for path in list(scene.images.values())[:20]:
         try:
             return read_image_size(path)
-        except OSError:
+        except (OSError, ValueError):
             continue
     return None
 

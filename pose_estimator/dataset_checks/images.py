@@ -1,14 +1,14 @@
 """Checks a sample of a scene's images, masks and depth maps, and that poses agree with them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import TypeVar
 
 import numpy as np
 
 from ...core.geometry import check_intrinsics
-from ...core.images import read_image
+from ...core.images import read_image, read_mask, read_photograph
 from ..bop.fields import MM, Place, rigid
 from ..bop.scene import Scene
 from .boxes import check_mask
@@ -18,6 +18,8 @@ from .findings import Findings
 from .meshes import CheckedModel
 from .projection import FAIR, GOOD, MIN_PIXELS, MIN_VISIBLE, Projection
 from .projection_score import Evidence
+
+Decoded = TypeVar("Decoded")
 
 
 @dataclass
@@ -47,9 +49,10 @@ class ImageCheck:
             Number of wrong projections, and number of projections compared.
         """
         image_path, place = scene.images[image_id], Place(scene.scene_id, image_id)
-        rgb = self._open(image_path, "RGB", place)
-        if rgb is None:
+        opened = self._open(lambda file: read_photograph(file, upright=False), image_path, place)
+        if opened is None:
             return 0, 0
+        rgb, orientation = opened
         self.coverage.images += 1
         shape = (rgb.shape[0], rgb.shape[1])
         expected = self.camera_size
@@ -59,6 +62,14 @@ class ImageCheck:
                 detail=f"{shape[1]}x{shape[0]}, camera.json has {expected[1]}x{expected[0]}",
                 cause="the images were scaled or cropped without the camera",
                 remedy="scale cam_K like the images, and correct camera.json",
+            )  # fmt: skip
+        if orientation != 1:
+            self.findings.warning(
+                image_path, "orientation", "the image has an EXIF orientation", place=place,
+                detail=f"orientation {orientation}",
+                cause="a camera or phone wrote it; its stored pixels are used, as by masks and "
+                "cam_K, but other programs turn it",
+                remedy="remove the tag, such as with exiftool -Orientation=",
             )  # fmt: skip
         depth = self._depth(scene, image_id, shape, place)
         K = scene.K[scene.image_id == image_id][0]
@@ -89,11 +100,8 @@ class ImageCheck:
         path = scene.mask_path(row)
         mask = None
         if path.is_file():
-            gray = self._open(path, "L", place)
-            if gray is None:
-                return None
-            mask = gray > 0
-            if not check_mask(scene, row, mask, shape, self.findings):
+            mask = self._open(read_mask, path, place)
+            if mask is None or not check_mask(scene, row, mask, shape, self.findings):
                 return None
         model = self.models.get(int(rows.obj_id[row]))
         evidence = _evidence(scene, row, shape, mask)
@@ -125,7 +133,7 @@ class ImageCheck:
         path = scene.depths.get(image_id)
         if path is None:
             return None
-        steps = self._open(path, None, place)
+        steps = self._open(lambda file: read_image(file, None), path, place)
         if steps is None:
             return None
         if steps.ndim != 2 or steps.dtype.itemsize < 2:
@@ -153,17 +161,15 @@ class ImageCheck:
             return None
         return steps * (scene.depth_scale[scene.image_id == image_id][0] / MM)
 
-    def _open(
-        self, path: Path, mode: Literal["RGB", "L"] | None, place: Place
-    ) -> np.ndarray | None:
+    def _open(self, read: Callable[[Path], Decoded], path: Path, place: Place) -> Decoded | None:
         """Returns the decoded image file, or None with a finding."""
         try:
-            return read_image(path, mode)
-        except (OSError, ValueError):
+            return read(path)
+        except (OSError, ValueError) as error:
             self.findings.error(
                 path, "pixels", "cannot be read as an image", place=place,
-                detail=f"{path.stat().st_size} bytes" if path.exists() else "",
-                cause="truncated by a full disk or an interrupted download",
+                detail=str(error).removeprefix(f"{path} "),
+                cause="truncated by a full disk or an interrupted download, or of an unusual kind",
                 remedy="download or write it again",
             )  # fmt: skip
             return None

@@ -8,8 +8,8 @@ import numpy as np
 from ...core.geometry import invert
 from ..bop.fields import Place
 from ..bop.pairs import BopPair
-from ..bop.pose_mistakes import OPENGL
 from ..bop.scene import Scene
+from ..camera_mistakes import OPENGL, scaled
 from .cameras import rigid_or_nan
 from .findings import Findings
 from .meshes import CheckedModel
@@ -20,22 +20,13 @@ STILL = 0.02
 Reading = tuple[str, str, Callable[[np.ndarray], np.ndarray]]
 
 
-def _scaled(factor: float) -> Callable[[np.ndarray], np.ndarray]:
-    def scale(T: np.ndarray) -> np.ndarray:
-        T = T.copy()
-        T[..., :3, 3] *= factor
-        return T
-
-    return scale
-
-
 _READINGS: tuple[Reading, ...] = (
     ("it is inverted", "invert it", invert),
-    ("it is in meters; BOP has millimeters", "multiply translations by 1000", _scaled(1e3)),
-    ("it was scaled by 1000 twice", "divide translations by 1000", _scaled(1e-3)),
+    ("it is in meters; BOP has millimeters", "multiply translations by 1000", scaled(1e3)),
+    ("it was scaled by 1000 twice", "divide translations by 1000", scaled(1e-3)),
     (
         "it is inverted, and in meters", "invert it, and multiply translations by 1000",
-        lambda T: invert(_scaled(1e3)(T)),
+        lambda T: invert(scaled(1e3)(T)),
     ),
 )  # fmt: skip
 

@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import trimesh
+from PIL import ExifTags, Image
 from scipy.spatial.transform import Rotation
 
 SCENE = "test/000003"
@@ -53,6 +54,16 @@ def every_info(data: Path, change: Callable[[dict[str, Any]], None]) -> None:
 def every_image(data: Path, pattern: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
     for path in data.glob(f"test/*/{pattern}"):
         cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
+
+
+def set_orientation(data: Path, orientation: int) -> None:
+    """Tags every photograph as a camera does; its pixels stay as they are."""
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    for path in data.glob("test/*/rgb/*"):
+        image = Image.open(path)
+        image.load()
+        image.save(path, exif=exif)
 
 
 def every_pair(data: Path, change: Callable[[dict[str, Any]], None]) -> None:

@@ -21,6 +21,7 @@ from helpers.damage_tools import (
     rescale,
     scaled,
     set_key,
+    set_orientation,
     shift_masks,
     truncate,
 )
@@ -53,6 +54,10 @@ IMAGES = {
     "images scaled": Damage(
         lambda d: every_image(d, "rgb/*", lambda p: cv2.resize(p, (160, 120))),
         "rgb/", "size", "differs from camera.json", "warning",
+    ),
+    "images with an orientation": Damage(
+        lambda d: set_orientation(d, 6),
+        "rgb/", "orientation", "has an EXIF orientation", "warning", count=8,
     ),
     "masks of another size": Damage(
         lambda d: every_image(d, "mask_visib/*", lambda p: cv2.resize(p, (640, 480))),

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from two_view_pose.core.geometry import LINEMOD_K
-from two_view_pose.pose_estimator.visualization import draw_poses, outline, silhouette
+from two_view_pose.core.geometry import LINEMOD_K, make_transform, project, transform
+from two_view_pose.pose_estimator.visualization import draw_overlay, draw_poses, outline, silhouette
 
 SHAPE = (480, 640)
 
@@ -87,3 +87,20 @@ def test_bad_input(box, T_cam_obj):
         outline(box, T_cam_obj, np.eye(4), SHAPE)
     with pytest.raises(ValueError, match="T_cam_obj"):
         outline(box, 2 * T_cam_obj, LINEMOD_K, SHAPE)
+
+
+def test_an_overlay_of_a_large_photograph_is_small_and_in_place(box):
+    K = np.array([[4000.0, 0, 2999.5], [0, 4000, 1999.5], [0, 0, 1]])
+    T = make_transform(np.eye(3), [0.3, -0.15, 0.9])
+    image = np.zeros((4000, 6000, 3), np.uint8)
+    drawn = draw_overlay(image, box, {(255, 0, 0): T}, K)
+    assert drawn.shape == (1280, 1920, 3)
+    rows, columns = np.nonzero(drawn[..., 0] > 128)
+    u, v = project(transform(T, box.vertices), K).T
+    # Pixel centers of both sizes, as cv2.resize has them.
+    for found, expected in ((columns, u), (rows, v)):
+        ends = (np.array([expected.min(), expected.max()]) + 0.5) * 0.32 - 0.5
+        np.testing.assert_allclose([found.min(), found.max()], ends, atol=2)
+    small = np.zeros((480, 640, 3), np.uint8)
+    expected = draw_poses(small, box, {(255, 0, 0): T}, LINEMOD_K)
+    np.testing.assert_array_equal(draw_overlay(small, box, {(255, 0, 0): T}, LINEMOD_K), expected)

@@ -209,7 +209,7 @@ def test_missing_and_truncated_files_are_reported(dataset):
     data = bop.read_dataset(root, "train_pbr")
     image = data.scene(3)[0]
     image.rgb_path.write_bytes(image.rgb_path.read_bytes()[:20])
-    with pytest.raises(ValueError, match=r"000000\.png is not an image file"):
+    with pytest.raises(ValueError, match=r"000000\.png is a truncated or damaged image"):
         bop.read_rgb(image)
     image.annotations[1].mask_visib_path.unlink()
     with pytest.raises(ValueError, match=r"annotation 1: a mask is missing .*000000_000001\.png"):
