@@ -204,7 +204,7 @@ WRONG = {
         "depth_unit must be positive",
     ),
     "overlay of no image": (dict(overlay=lambda i: i.folder / "o.txt"), "overlay must end in .png"),
-    "overlay is a folder": (dict(overlay=lambda i: i.folder), "overlay must end in .png"),
+    "overlay is a folder": (dict(overlay=lambda i: i.folder), "overlay must be a file"),
     "no relative pose": ({"relative-pose": lambda i: None}, "second and relative_pose go together"),
 }
 

@@ -10,7 +10,7 @@ from PIL import Image
 from two_view_pose.core.errors import InputError
 from two_view_pose.core.geometry import LINEMOD_K
 from two_view_pose.pose_estimator.fusion.estimate_config import EstimateConfig
-from two_view_pose.pose_estimator.fusion.view_files import read_views
+from two_view_pose.pose_estimator.fusion.view_files import read_depth, read_views
 
 SQUARE_K = "500,500,99.5,99.5"
 MOVED = [[1, 0, 0, -0.3], [0, 1, 0, 0], [0, 0, 1, 0]]
@@ -71,7 +71,9 @@ def test_a_depth_map_is_not_turned(config, tmp_path):
     cv2.imwrite(str(tmp_path / "d.png"), np.full((200, 200), 900, np.uint16))
     reference = config(3, 3).reference
     given = EstimateConfig(reference, "can", SQUARE_K, method="rgbd", depth=tmp_path / "d.png")
-    _, (doubt,) = read_views(given)
+    depth = read_depth(given)
+    assert depth is not None
+    _, (doubt,) = read_views(given, depth.meters)
     assert "its depth map is not" in doubt
 
 
