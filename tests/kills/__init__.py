@@ -1,0 +1,1 @@
+"""Kills commands at random moments, or fills their disk, and checks that nothing is lost."""
