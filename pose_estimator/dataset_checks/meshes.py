@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import fast_simplification
 import numpy as np
 import trimesh
 
 from ...assets import surface
+from ...assets.mesh_files import Part, read_parts
 from ...core.errors import InputError
-from ..bop.fields import MM, Report
+from ..bop.fields import MM
 from ..bop.models_info import BopModelInfo, read_entries
 from .findings import Findings
 
@@ -24,7 +24,7 @@ class CheckedModel:
     Attributes:
         info: the entry; NaN where invalid.
         info_path: ``models_info.json``.
-        mesh: as read, meters; None where it cannot be read.
+        part: the mesh and its colors as read, meters; None where it cannot be read.
         vertices: (V, 3) of the mesh decimated for silhouettes, meters.
         faces: (F, 3).
         measured: diameter of the mesh, meters; NaN without one.
@@ -32,7 +32,7 @@ class CheckedModel:
 
     info: BopModelInfo
     info_path: Path
-    mesh: trimesh.Trimesh | None
+    part: Part | None
     vertices: np.ndarray
     faces: np.ndarray
     measured: float
@@ -41,6 +41,11 @@ class CheckedModel:
     def obj_id(self) -> int:
         """Its number."""
         return self.info.obj_id
+
+    @property
+    def mesh(self) -> trimesh.Trimesh | None:
+        """Its triangles, meters; None where they cannot be read."""
+        return None if self.part is None else self.part.mesh
 
     @property
     def equivalents(self) -> np.ndarray:
@@ -69,53 +74,48 @@ def read_models(root: Path, findings: Findings) -> dict[int, CheckedModel]:
                 path, "keys", "a mesh is not described", detail=mesh.name,
                 remedy="add its diameter, minimum and size to models_info.json",
             )  # fmt: skip
-    return {obj_id: _read_model(info, path, findings.error) for obj_id, info in infos.items()}
+    return {obj_id: _read_model(info, path, findings) for obj_id, info in infos.items()}
 
 
-def _read_model(info: BopModelInfo, path: Path, report: Report) -> CheckedModel:
-    mesh = _read_mesh(info.mesh_path, report)
-    if mesh is None:
+def _read_model(info: BopModelInfo, path: Path, findings: Findings) -> CheckedModel:
+    part = _read_part(info.mesh_path, findings)
+    if part is None:
         return CheckedModel(info, path, None, np.empty((0, 3)), np.empty((0, 3), np.int32), np.nan)
+    mesh = part.mesh
     measured = surface.diameter(np.asarray(mesh.vertices))
-    return CheckedModel(info, path, mesh, *_decimate(mesh), measured)
+    thinned = surface.simplified(mesh.vertices, mesh.faces, SILHOUETTE_FACES, aggressiveness=5.0)
+    return CheckedModel(info, path, part, *thinned, measured)
 
 
-def _read_mesh(path: Path, report: Report) -> trimesh.Trimesh | None:
-    """Returns the mesh in meters, or None."""
+def _read_part(path: Path, findings: Findings) -> Part | None:
+    """Returns the mesh in meters with its colors, or None."""
     if not path.is_file():
-        report(
+        findings.error(
             path, "file", "an object has no mesh", detail=f"{path.name} is missing",
             remedy="restore the mesh, or remove the object from models_info.json",
         )  # fmt: skip
         return None
+    unreadable = ""
     try:
-        mesh = trimesh.load_mesh(path, process=False)
-        if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
-            raise InputError("no faces: a surface is needed, not points")
-        if not np.isfinite(mesh.vertices).all():
-            raise InputError("NaN or infinite coordinates")
-        if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-            raise InputError("faces with invalid vertex indices")
-        mesh.apply_scale(1 / MM)
-        surface.diameter(np.asarray(mesh.vertices))
-    except Exception as error:  # mesh readers raise any type of error for invalid files
-        report(
+        try:
+            (part,) = read_parts(path)
+        except InputError as error:
+            unreadable = " ".join(str(error).split())
+            (part,) = read_parts(path, colors=False)
+        part.mesh.apply_scale(1 / MM)
+        surface.diameter(np.asarray(part.mesh.vertices))
+    except Exception as error:  # what reads and measures meshes raises all kinds of errors
+        findings.error(
             path, "file", "the mesh cannot be read",
             detail=" ".join(str(error).split())[:100] or type(error).__name__,
             cause="truncated, or exported without faces",
             remedy="export it again as a PLY with faces",
         )  # fmt: skip
         return None
-    return mesh
-
-
-def _decimate(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
-    """Returns vertices and faces after quadric edge collapse."""
-    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    if len(faces) > SILHOUETTE_FACES:
-        size = float(mesh.extents.max())  # the collapse's thresholds are lengths
-        decimated, faces = fast_simplification.simplify(
-            (vertices / size).astype(np.float32), faces, target_count=SILHOUETTE_FACES, agg=5.0
-        )
-        vertices = decimated.astype(np.float64) * size
-    return vertices, np.asarray(faces)
+    if unreadable:
+        findings.warning(
+            path, "colors", "the colors of the mesh cannot be read", detail=unreadable,
+            cause="a texture that is missing or damaged",
+            remedy="restore it: generate and train-estimator refuse this mesh",
+        )  # fmt: skip
+    return part

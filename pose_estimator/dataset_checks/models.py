@@ -3,10 +3,10 @@
 from collections.abc import Callable, Iterable
 
 import numpy as np
-import trimesh
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from ...assets.mesh_files import Part
 from ...assets.surface_colors import sample_colors
 from ...core.geometry import make_transform
 from .cameras import rigid_or_nan
@@ -29,11 +29,11 @@ _DENSE = 20_000
 def check_models(models: Iterable[CheckedModel], findings: Findings) -> None:
     """Checks every object on its own."""
     for model in models:
-        if model.mesh is None:
+        if model.part is None:
             continue
         if _check_units(model, findings):
             _check_sizes(model, findings)
-        _check_symmetries(model, model.mesh, findings)
+        _check_symmetries(model, model.part, findings)
 
 
 def _check_units(model: CheckedModel, findings: Findings) -> bool:
@@ -85,9 +85,9 @@ def _wrong_unit(ratio: float) -> str:
     return "it was scaled by 1000 twice" if 800 < ratio < 1200 else ""
 
 
-def _check_symmetries(model: CheckedModel, mesh: trimesh.Trimesh, findings: Findings) -> None:
-    points, _, colors = sample_colors([mesh], _POINTS)
-    dense, _, dense_colors = sample_colors([mesh], _DENSE)
+def _check_symmetries(model: CheckedModel, part: Part, findings: Findings) -> None:
+    points, _, colors = sample_colors([part], _POINTS)
+    dense, _, dense_colors = sample_colors([part], _DENSE)
     tree = KDTree(dense)
 
     def moved(T: np.ndarray) -> tuple[float, float]:
@@ -104,7 +104,7 @@ def _check_symmetries(model: CheckedModel, mesh: trimesh.Trimesh, findings: Find
         _check_listed(model, name, T, moved, findings)
     if listed:
         return
-    center = mesh.bounds.mean(axis=0)
+    center = part.mesh.bounds.mean(axis=0)
     for axis, direction in zip("xyz", np.eye(3), strict=True):
         distance, color = moved(_rotation_about(direction, center, 180))
         if distance < SAME_SURFACE and color < SAME_COLOR:
