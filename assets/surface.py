@@ -173,7 +173,8 @@ def _diameter_of_many(corners: np.ndarray) -> float:
 def _portions(counts: np.ndarray) -> list[np.ndarray]:
     """Splits indices so that the counts of each portion add to about ``_AT_ONCE``."""
     sums = np.cumsum(counts, dtype=np.int64)
-    bounds = np.searchsorted(sums, np.arange(_AT_ONCE, sums[-1], _AT_ONCE)) if len(sums) else []
+    total = int(sums[-1]) if len(sums) else 0
+    bounds = np.searchsorted(sums, np.arange(_AT_ONCE, total, _AT_ONCE))
     return np.split(np.arange(len(counts)), bounds)
 
 

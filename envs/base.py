@@ -78,8 +78,8 @@ class ViewSelectionEnv(gym.Env[Observation, Any]):
         require_within(self, 0, np.inf, "travel_weight")
         self._pose_noise = PoseNoise.of(pose_noise)
         self._carrier = FreeFlyingCarrier() if carrier is None else carrier
-        own = isinstance(objects, Mapping)
-        self._objects = dict(objects) if own else load_objects(objects, unit)
+        models = objects if isinstance(objects, Mapping) else load_objects(objects, unit)
+        self._objects = dict(models)
         self.object_names = tuple(self._objects)
         self._estimator = resolve_estimator(estimator, device)
         check_known_objects(self._estimator, self.object_names)

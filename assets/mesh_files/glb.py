@@ -37,6 +37,9 @@ _UNDERSTOOD = {
     "KHR_materials_specular",
 }
 
+_LARGEST = {5120: 127, 5121: 255, 5122: 32767, 5123: 65535}
+"""What means 1 in normalized integers, by their componentType."""
+
 _JSON, _TRIANGLES, _STRIP, _FAN = 0x4E4F534A, 4, 5, 6
 
 
@@ -60,7 +63,7 @@ def read_glb(path: Path, colors: bool) -> list[Part]:
     parts = []
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]
-        mesh, primitive = scene.geometry[name], primitives[int(name)]
+        mesh, primitive = scene.geometry[name], primitives[int(str(name))]
         attributes = {
             key.removeprefix("_"): _normalized(values, header, primitive["attributes"][key])
             for key, values in mesh.vertex_attributes.items()
@@ -191,8 +194,7 @@ def _check_primitive(primitive: dict[str, Any], header: dict[str, Any], path: Pa
 def _normalized(values: np.ndarray, header: dict[str, Any], accessor: int) -> np.ndarray:
     """Stored integers as numbers: those of a normalized accessor are 0 to 1 or -1 to 1."""
     numbers = np.asarray(values, dtype=np.float64)
-    types = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16}
     stored = header["accessors"][accessor]
-    if stored.get("normalized") and stored["componentType"] in types:
-        return np.maximum(numbers / np.iinfo(types[stored["componentType"]]).max, -1.0)
+    if stored.get("normalized") and stored["componentType"] in _LARGEST:
+        return np.maximum(numbers / _LARGEST[stored["componentType"]], -1.0)
     return numbers

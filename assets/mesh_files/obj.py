@@ -49,8 +49,8 @@ def read_obj(path: Path, colors: bool) -> list[Part]:
 
 def _vertex_colors(pieces: list[dict], text: str, path: Path) -> list[np.ndarray | None]:
     """Colors of each piece's vertices, in one range for the whole file."""
-    found = [piece.get("vertex_colors") for piece in pieces]
-    if any(colors is None for colors in found):
+    found = [p["vertex_colors"] for p in pieces if p.get("vertex_colors") is not None]
+    if len(found) < len(pieces):
         if _COLORED_VERTEX.search(text):
             raise InputError(f"{path} has colors (v x y z r g b) for some of its vertices only")
         return [None] * len(pieces)
@@ -59,7 +59,7 @@ def _vertex_colors(pieces: list[dict], text: str, path: Path) -> list[np.ndarray
     rgba = unit_range(np.concatenate(found), str(path))
     if all_white(rgba):
         return [None] * len(pieces)
-    return np.split(rgba, np.cumsum([len(colors) for colors in found])[:-1])
+    return [*np.split(rgba, np.cumsum([len(colors) for colors in found])[:-1])]
 
 
 def _painter(
