@@ -1,8 +1,9 @@
 """Objects: thirteen that ship, with LineMOD's names and sizes, and users' meshes.
 
 ``object_model`` is what the other rooms know about an object; ``storage`` its files;
-``mesh_import`` imports a mesh with ``surface``, ``surface_colors``, ``texture`` and ``mesh_cache``;
-``collage`` draws random textures. ``objects``, ``weights`` and ``agents`` are data.
+``mesh_files`` reads every format and every way of coloring; ``mesh_import`` makes an object of it
+with ``surface``, ``surface_colors``, ``texture`` and ``mesh_cache``; ``collage`` draws random
+textures. ``objects``, ``weights`` and ``agents`` are data.
 """
 
 from collections.abc import Callable, Iterable
@@ -24,12 +25,13 @@ OBJECT_NAMES: tuple[str, ...] = tuple(_LINEMOD.split())
 _FOLDER = Path(__file__).parent / "objects"
 
 
-def load_object(name_or_path: str | Path) -> ObjectModel:
+def load_object(name_or_path: str | Path, unit: str = "auto") -> ObjectModel:
     """Loads an object, cached.
 
     Args:
         name_or_path: one of ``OBJECT_NAMES``, a mesh file (PLY, OBJ, STL, GLB) or the folder of a
             built object (model.glb and object.json). "NAME=PATH" sets the name.
+        unit: of a mesh file, see ``core.units``.
 
     Raises:
         InputError: if it is neither a known name nor a path, or the file is not a usable mesh.
@@ -48,7 +50,7 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
         return model if name is None else replace(model, name=name)
     from .mesh_import import import_mesh
 
-    return import_mesh(path, name)
+    return import_mesh(path, name, unit=unit)
 
 
 def split_name(name_or_path: str | Path) -> tuple[str | None, Path]:
@@ -93,7 +95,7 @@ def _expand(item: str | Path) -> list[str | Path]:
     path = Path(item)
     if str(item) in OBJECT_NAMES or not path.is_dir() or (path / "object.json").is_file():
         return [item]
-    from .mesh_import import MESH_SUFFIXES
+    from .mesh_files import MESH_SUFFIXES
 
     built = sorted(folder.parent for folder in path.glob("*/object.json"))
     meshes = sorted(file for file in path.iterdir() if file.suffix.lower() in MESH_SUFFIXES)

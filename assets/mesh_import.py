@@ -4,36 +4,29 @@ Per-vertex colors, per-face colors and textures are all sampled at dense points 
 surface and baked from there, so welding, decimation and unwrapping need not know about colors.
 """
 
+import multiprocessing
 import re
 import zlib
 from functools import lru_cache
 from pathlib import Path
 
-import fast_simplification
 import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
 from ..core.errors import InputError
 from ..core.geometry import check_rigid
+from ..core.units import METERS, NAMES, check_unit, length, resolve_unit
 from . import surface, texture
 from .mesh_cache import cached, mesh_key
+from .mesh_files import read_parts
 from .object_model import ObjectModel
 from .surface_colors import NORMAL_WEIGHT, sample_colors
-
-MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb")
-"""File types of `import_mesh`."""
 
 MAX_FACES = 4000
 """Larger meshes are decimated; rendering time is proportional to the number of faces."""
 
 TEXTURE_SIZE = 512
-UNITS = {"m": 1.0, "mm": 1e-3}
-
-_METERS = (0.02, 1.0)
-_MILLIMETERS = (20.0, 1000.0)
-PLAUSIBLE_RANGE = (1e-3, 10.0)
-"""Allowed diameters, meters."""
 
 
 def import_mesh(
@@ -52,7 +45,8 @@ def import_mesh(
     Args:
         path: PLY, OBJ, STL or GLB; all parts of a scene become one object.
         name: of the object; by default the file's stem.
-        unit: "m", "mm", or "auto": a diameter of 0.02 to 1 means meters, of 20 to 1000 millimeters.
+        unit: "m", "cm", "mm", "inch", or "auto": a diameter of 0.02 to 1 means meters, of 20 to
+            1000 millimeters.
         symmetries: (S, 4, 4) transforms in meters under which the object looks the same.
         diameter: meters; by default the largest distance between two vertices, from which it may
             differ by 10 %.
@@ -66,8 +60,8 @@ def import_mesh(
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"mesh file {path} does not exist")
-    if unit != "auto" and unit not in UNITS:
-        raise InputError(f"unit must be 'auto', 'm' or 'mm', got {unit!r}")
+    if unit != "auto":
+        check_unit(unit)
     given = None if symmetries is None else _check_symmetries(symmetries)
     state = path.stat()
     options = (name, unit, given, diameter)
@@ -87,10 +81,14 @@ def import_cached(
     """Caches imports; ``modified`` and ``size`` are part of the key."""
     options = (name, unit, symmetries, diameter)
     key = mesh_key(path, (*options, MAX_FACES, TEXTURE_SIZE, CACHE_VERSION))
-    return cached(key, lambda: import_uncached(path, *options))
+    model = cached(key, lambda: import_uncached(path, *options))
+    # A size that is given, as in BOP's models_info.json, confirms the unit. Workers stay silent.
+    if diameter is None and multiprocessing.parent_process() is None:
+        print(f"{path.name}: {model.origin}")
+    return model
 
 
-CACHE_VERSION = 1
+CACHE_VERSION = 2
 """Increment it with every change to what `import_uncached` returns."""
 
 
@@ -98,23 +96,27 @@ def import_uncached(
     path: Path, name: str | None, unit: str, symmetries: bytes | None, diameter: float | None
 ) -> ObjectModel:
     """Imports without a cache."""
-    parts = _read_parts(path)
-    measured = surface.diameter(np.concatenate([part.triangles.reshape(-1, 3) for part in parts]))
-    scale = _scale(measured, unit, path)
+    parts = read_parts(path)
+    meshes = [part.mesh for part in parts]
+    _check_thickness(meshes, path)
+    measured = surface.diameter(np.concatenate([m.vertices[np.unique(m.faces)] for m in meshes]))
+    unit = resolve_unit(unit, measured, path)
+    scale = METERS[unit]
     if diameter is not None and not 0.9 < measured * scale / diameter < 1.1:
         raise InputError(
             f"{path} has a diameter of {measured * scale:g} m, but diameter is given as "
             f"{diameter:g} m"
         )
-    for part in parts:
+    for part in meshes:
         part.apply_scale(scale)
 
-    mesh = _weld(parts)
+    mesh = _weld(meshes)
     outward = mesh.is_winding_consistent and mesh.volume > 0
     if not outward:
         mesh.fix_normals()
     mesh = _decimate(mesh)
     points, normals, colors = sample_colors(parts)
+    kinds = dict.fromkeys(part.paint.kind for part in parts if part.paint.kind)
     # Normals distinguish the two sides of a thin wall, if the file's are right.
     reach = NORMAL_WEIGHT * measured * scale if outward else 0.0
     tree = KDTree(np.concatenate([points, reach * normals], axis=1))
@@ -141,73 +143,34 @@ def import_uncached(
         symmetries=transforms,
         points=surface.even_points(mesh),
         stable_poses=surface.stable_poses(mesh),
+        origin=f"read as {NAMES[unit]}, {length(measured * scale)} across, "
+        + (", ".join(kinds) or "no colors (gray)"),
     )
 
 
-def _read_parts(path: Path) -> list[trimesh.Trimesh]:
-    """Reads and validates all meshes of a file, in its own frame and unit, with their colors."""
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise InputError(f"{path.name} must be one of {', '.join(MESH_SUFFIXES)}")
-    try:
-        scene = trimesh.load_scene(path, process=False)
-        parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
-    except Exception as error:  # readers raise all kinds of errors
-        raise InputError(f"{path} cannot be read as a mesh: {error!r}") from error
-    parts = [part for part in parts if len(part.faces)]
-    if not parts:
-        raise InputError(f"{path} has no faces: a surface is needed, not points")
-    for part in parts:
-        if not np.isfinite(part.vertices).all():
-            bad = int((~np.isfinite(part.vertices).all(axis=1)).sum())
-            raise InputError(f"{path} has NaN or infinite coordinates in {bad} vertices")
-        if part.faces.min() < 0 or part.faces.max() >= len(part.vertices):
-            raise InputError(f"{path} has faces with vertex indices out of range")
-    corners = np.concatenate([part.triangles.reshape(-1, 3) for part in parts])
+def _check_thickness(meshes: list[trimesh.Trimesh], path: Path) -> None:
+    corners = np.concatenate([mesh.triangles.reshape(-1, 3) for mesh in meshes])
     spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
     if spread[2] <= 1e-6 * spread[0]:
         raise InputError(f"{path} is flat: an object needs some thickness")
-    return parts
 
 
-def _scale(diameter: float, unit: str, path: Path) -> float:
-    """Factor from the file's unit to meters."""
-    if unit == "auto":
-        for guess, (low, high) in (("m", _METERS), ("mm", _MILLIMETERS)):
-            if low <= diameter <= high:
-                return UNITS[guess]
-        raise InputError(
-            f"the unit of {path} is ambiguous: its diameter is {diameter:g}, and {_METERS[0]:g} to "
-            f"{_METERS[1]:g} means meters, {_MILLIMETERS[0]:g} to {_MILLIMETERS[1]:g} millimeters; "
-            "pass unit='m' or unit='mm' to import_mesh, or scale the file"
-        )
-    meters = diameter * UNITS[unit]
-    if not PLAUSIBLE_RANGE[0] <= meters <= PLAUSIBLE_RANGE[1]:
-        raise InputError(
-            f"{path} has a diameter of {diameter:g} {unit} = {meters:g} m; objects must be "
-            f"{PLAUSIBLE_RANGE[0]:g} to {PLAUSIBLE_RANGE[1]:g} m"
-        )
-    return UNITS[unit]
-
-
-def _weld(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """Merges the parts and their duplicate vertices to one mesh without colors."""
-    meshes = [part.vertices for part in parts], [part.faces for part in parts]
-    mesh = trimesh.Trimesh(*trimesh.util.append_faces(*meshes))
+def _weld(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """Merges meshes and their duplicate vertices to one mesh."""
+    vertices, faces = [mesh.vertices for mesh in meshes], [mesh.faces for mesh in meshes]
+    mesh = trimesh.Trimesh(*trimesh.util.append_faces(vertices, faces))
     mesh.update_faces(mesh.unique_faces() & mesh.nondegenerate_faces(height=0.0))
     mesh.remove_unreferenced_vertices()
     return mesh
 
 
 def _decimate(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Quadric edge collapse to ``MAX_FACES``."""
+    """Thins the mesh to ``MAX_FACES``."""
     if len(mesh.faces) <= MAX_FACES:
         return mesh
-    size = float(mesh.extents.max())  # the collapse's thresholds are lengths
     for aggressiveness in (3.0, 5.0, 7.0):
-        vertices, faces = fast_simplification.simplify(
-            mesh.vertices / size, mesh.faces, target_count=MAX_FACES, agg=aggressiveness
-        )
-        decimated = trimesh.Trimesh(vertices * size, faces)
+        thinned = surface.simplified(mesh.vertices, mesh.faces, MAX_FACES, aggressiveness)
+        decimated = trimesh.Trimesh(*thinned)
         decimated.update_faces(decimated.nondegenerate_faces(height=0.0))
         decimated.remove_unreferenced_vertices()
         if len(decimated.faces) <= MAX_FACES:

@@ -30,6 +30,7 @@ class ObjectModel:
             the first is upright, the others in order of decreasing probability.
         specular: MuJoCo material specularity, 0 to 1.
         shininess: MuJoCo material shininess, 0 to 1.
+        origin: how a user's mesh was read: unit, size, colors; in words, for users.
     """
 
     name: str
@@ -45,6 +46,7 @@ class ObjectModel:
     stable_poses: np.ndarray
     specular: float = 0.2
     shininess: float = 0.3
+    origin: str = ""
 
     @property
     def has_surface(self) -> bool:

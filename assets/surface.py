@@ -1,8 +1,9 @@
 """Properties of a surface: keypoints, evenly spaced points, diameter, stable poses."""
 
+import fast_simplification
 import numpy as np
 import trimesh
-from scipy.spatial import ConvexHull, distance
+from scipy.spatial import ConvexHull, KDTree, distance
 
 from ..core.geometry import make_transform, transform
 
@@ -14,6 +15,17 @@ POINT_SEED = 0
 
 _MAX_STABLE_POSES = 12
 _MIN_PROBABILITY = 0.01
+_NEGLIGIBLE = 0.001
+"""Probability of a pose that is not even looked at: a ball has thousands of these."""
+
+_FEW_CORNERS = 4000
+"""Hull vertices up to which all pairs are measured."""
+
+_AT_ONCE = 1_000_000
+"""Pairs in memory."""
+
+_MANY_PAIRS = 100_000_000
+"""Pairs that are slower to look up than all are to measure."""
 
 
 def farthest_points(points: np.ndarray, count: int, start: int) -> np.ndarray:
@@ -72,12 +84,98 @@ def even_points(mesh: trimesh.Trimesh, count: int = POINT_COUNT) -> np.ndarray:
     return np.round(dense[farthest_points(dense, count, 0)], 6)
 
 
+def simplified(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    count: int,
+    aggressiveness: float,
+    size: float | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Thins a mesh to at most about ``count`` faces by quadric edge collapse.
+
+    Garland and Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH 1997.
+    Vertices at the same place, which textures double at their seams, become one before: the borders
+    that they make would be eaten away.
+
+    Args:
+        vertices: (V, 3) in any unit.
+        faces: (F, 3).
+        count: of faces; a mesh that has no more is only merged.
+        aggressiveness: of the collapse; larger is faster, and coarser where it is flat.
+        size: length that counts as one in the collapse's thresholds; None: the largest extent.
+
+    Returns:
+        Vertices (V', 3) and faces (F', 3).
+    """
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    if len(mesh.faces) <= count:
+        return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    size = size or float(mesh.extents.max())
+    thinned, triangles = fast_simplification.simplify(
+        np.ascontiguousarray(mesh.vertices / size),
+        np.ascontiguousarray(mesh.faces),
+        target_count=count,
+        agg=aggressiveness,
+    )
+    return np.asarray(thinned, dtype=np.float64) * size, np.asarray(triangles)
+
+
 def diameter(vertices: np.ndarray) -> float:
-    """Largest distance between two vertices (V, 3)."""
+    """Largest distance between two vertices (V, 3), exactly, in bounded memory."""
     corners = vertices
     if np.linalg.matrix_rank(vertices - vertices[0], tol=1e-9) == 3:
         corners = vertices[ConvexHull(vertices).vertices]
-    return float(max(distance.cdist(part, corners).max() for part in np.array_split(corners, 8)))
+    if len(corners) <= _FEW_CORNERS:
+        parts = np.array_split(corners, 8)
+        return float(max(distance.cdist(part, corners).max() for part in parts))
+    return _diameter_of_many(corners)
+
+
+def _diameter_of_many(corners: np.ndarray) -> float:
+    """As `diameter`, for hulls of balls and other smooth bodies.
+
+    With L the length of some pair and r the distance of the farthest corner from a center c, the
+    parallelogram law gives for every longer pair p, q (relative to c)
+    |q + p|^2 < 2 |p|^2 + 2 r^2 - L^2: q is near the antipode of p, or there is none.
+    """
+    start, length, ends = 0, -1.0, corners[:1]
+    for _ in range(20):  # from a corner to the farthest one until that finds nothing longer
+        reach = np.linalg.norm(corners - corners[start], axis=1)
+        far = int(reach.argmax())
+        if reach[far] <= length:
+            break
+        length, ends, start = float(reach[far]), corners[[start, far]], far
+    centers = [ends.mean(axis=0), (corners.min(axis=0) + corners.max(axis=0)) / 2]
+    center = min(centers, key=lambda c: float(np.linalg.norm(corners - c, axis=1).max()))
+    placed = corners - center
+    squared = np.sum(placed**2, axis=1)
+    # Numbers of this size are rounded to 16 digits; a little more is looked at.
+    around = 2 * squared + 2 * squared.max() - length**2 + 1e-12 * length**2
+    candidates = placed[around > 0]
+    radii = np.sqrt(around[around > 0])
+    tree = KDTree(placed)
+    found = tree.query_ball_point(-candidates, radii, return_length=True)
+    if found.sum(dtype=np.int64) > _MANY_PAIRS:  # bodies that are far from any symmetry
+        parts = np.array_split(candidates, 1 + len(candidates) * len(placed) // _AT_ONCE)
+        return float(max(distance.cdist(part, placed).max() for part in parts))
+    for some in _portions(found):
+        near = tree.query_ball_point(-candidates[some], radii[some])
+        counts = [len(indices) for indices in near]
+        if not sum(counts):
+            continue
+        others = placed[np.concatenate([np.asarray(i, dtype=np.int64) for i in near])]
+        offsets = others - np.repeat(candidates[some], counts, axis=0)
+        length = max(length, float(np.sqrt(np.sum(offsets**2, axis=1).max())))
+    return length
+
+
+def _portions(counts: np.ndarray) -> list[np.ndarray]:
+    """Splits indices so that the counts of each portion add to about ``_AT_ONCE``."""
+    sums = np.cumsum(counts, dtype=np.int64)
+    total = int(sums[-1]) if len(sums) else 0
+    bounds = np.searchsorted(sums, np.arange(_AT_ONCE, total, _AT_ONCE))
+    return np.split(np.arange(len(counts)), bounds)
 
 
 def center_of_mass(mesh: trimesh.Trimesh) -> np.ndarray:
@@ -121,8 +219,10 @@ def stable_poses(mesh: trimesh.Trimesh, max_tilt: float = 0.1) -> np.ndarray:
     """
     hull = mesh.convex_hull
     transforms, probabilities = trimesh.poses.compute_stable_poses(
-        hull, center_mass=center_of_mass(mesh), seed=POINT_SEED
+        hull, center_mass=center_of_mass(mesh), threshold=_NEGLIGIBLE, seed=POINT_SEED
     )
+    if not len(transforms):
+        transforms, probabilities = np.eye(4)[None], np.zeros(1)
     order = np.argsort(-np.asarray(probabilities), kind="stable")
     rotations = np.asarray(transforms)[order, :3, :3]
     likely = np.asarray(probabilities)[order] >= _MIN_PROBABILITY

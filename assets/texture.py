@@ -107,14 +107,14 @@ def bake(
 
 
 def sample_texture(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Bilinear colors (N, 3) in [0, 1] of an RGB texture (H, W, 3) at uv (N, 2), repeating."""
+    """Bilinear colors (N, C) in [0, 1] of a texture (H, W, C) uint8 at uv (N, 2), repeating."""
     height, width = texture.shape[:2]
     x = (uv[:, 0] % 1.0) * width - 0.5
     y = (1.0 - uv[:, 1] % 1.0) * height - 0.5
     coordinates = np.stack([y, x])
     channels = [
         ndimage.map_coordinates(channel, coordinates, order=1, mode="grid-wrap")
-        for channel in np.moveaxis(texture[..., :3].astype(np.float64), -1, 0)
+        for channel in np.moveaxis(texture.astype(np.float64), -1, 0)
     ]
     return np.stack(channels, axis=1) / 255.0
 

@@ -56,6 +56,7 @@ class ViewSelectionEnv(CopyableEnv, gym.Env[Observation, Any]):
         self,
         *,
         objects: Sequence[str | Path] | Mapping[str, ObjectModel] | str | Path | None = None,
+        unit: str = "auto",
         scene: str | SceneConfig = "linemod",
         estimator: str | Path | PoseEstimator | None = DEFAULT_METHOD,
         device: str = "auto",
@@ -78,7 +79,8 @@ class ViewSelectionEnv(CopyableEnv, gym.Env[Observation, Any]):
         require_within(self, 0, np.inf, "travel_weight")
         self._pose_noise = PoseNoise.of(pose_noise)
         self._carrier = FreeFlyingCarrier() if carrier is None else carrier
-        self._objects = dict(objects) if isinstance(objects, Mapping) else load_objects(objects)
+        models = objects if isinstance(objects, Mapping) else load_objects(objects, unit)
+        self._objects = dict(models)
         self.object_names = tuple(self._objects)
         self._estimator = resolve_estimator(estimator, device)
         check_known_objects(self._estimator, self.object_names)

@@ -129,6 +129,8 @@ class TwoViewPoseEnv(CounterfactualEnv):
     |-----------------|--------------|--------------------------------------------------------|
     | `objects`       | None         | names, mesh files or a folder of them, or a dict of    |
     |                 |              | `ObjectModel`; None: LineMOD's thirteen                |
+    | `unit`          | `"auto"`     | unit of the mesh files: `"mm"`, `"cm"`, `"m"`, `"inch"`|
+    |                 |              | or as their size tells                                 |
     | `scene`         | `"linemod"`  | `"linemod"` (light clutter), `"clutter"` (heavy),      |
     |                 |              | `"occlusion"` (between tall objects),                  |
     |                 |              | `"heap"` (eight close together), or a `SceneConfig`    |

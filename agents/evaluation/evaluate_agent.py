@@ -169,6 +169,11 @@ def _check_objects(name: str, header: AgentHeader, config: EvaluateAgentConfig) 
             f"policy {name} was trained on {' '.join(trained) or 'all 13 objects'}, not on "
             f"{' '.join(asked) or 'all 13'}: pass the same --objects"
         )
+    unit = header.env_kwargs.get("unit", "auto")
+    if unit != config.unit and config.bank is None:
+        raise InputError(
+            f"policy {name} was trained with meshes read in the unit {unit}: pass --unit {unit}"
+        )
 
 
 def _make_environment(config: EvaluateAgentConfig, env_id: str) -> gym.Env:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from ...core.errors import InputError
+from ...core.units import LengthUnit
 from ...core.validation import require_within
 from ...envs.simulation.scene_kinds import SceneKindName
 from ...pose_estimator.methods import DEFAULT_METHOD
@@ -53,6 +54,9 @@ class TrainAgentConfig:
     """Light clutter, heavy clutter, the target between tall objects, or a dense heap of objects."""
     objects: tuple[str, ...] = ()
     """Names of objects or mesh files; by default the 13 of LineMOD."""
+    unit: LengthUnit = "auto"
+    """Unit of the mesh files: `mm`, `cm`, `m` or `inch`; `auto` reads a diameter of 0.02 to 1 as
+    meters and of 20 to 1000 as millimeters, and prints that."""
     estimator: str | None = DEFAULT_METHOD
     """Pose estimator: `mid-pnp`, another method, or a .safetensors file for `mid-pnp`; None renders
     only, and every pose is zero."""
@@ -132,6 +136,9 @@ class EvaluateAgentConfig:
     """Environment id; by default that of the trained policies, else TwoViewPose-v0."""
     objects: tuple[str, ...] = ()
     """Names of objects or mesh files; by default the 13 of LineMOD."""
+    unit: LengthUnit = "auto"
+    """Unit of the mesh files: `mm`, `cm`, `m` or `inch`; `auto` reads a diameter of 0.02 to 1 as
+    meters and of 20 to 1000 as millimeters, and prints that."""
     estimator: str = DEFAULT_METHOD
     """Pose estimator: `mid-pnp`, another method, or a .safetensors file for `mid-pnp`."""
     device: str = "auto"
@@ -163,7 +170,9 @@ def _given(config: object, *names: str) -> list[str]:
 
 def environment_arguments(config: TrainAgentConfig | EvaluateAgentConfig) -> dict[str, Any]:
     """Keyword arguments of ``gymnasium.make``; no objects means the environment's default."""
-    objects = {"objects": list(config.objects)} if config.objects else {}
+    objects: dict[str, Any] = {"objects": list(config.objects)} if config.objects else {}
+    if config.unit != "auto":
+        objects["unit"] = config.unit
     return {"scene": config.scene, "estimator": config.estimator} | objects | config.env_kwargs
 
 

@@ -199,6 +199,8 @@ def _evaluation_command(config: TrainAgentConfig, policy: Path) -> str:
     command += f" --scene {config.scene}"
     if config.objects:
         command += f" --objects {shlex.join(config.objects)}"
+    if config.unit != "auto":
+        command += f" --unit {config.unit}"
     if config.env_id not in (BOX_ENV, DISCRETE_ENV):
         command += f" --env {config.env_id}"
     return command

@@ -44,6 +44,7 @@ def evaluate(config: EvaluateConfig) -> None:
                 out=root,
                 scenes=config.scenes,
                 objects=config.objects or known_objects(config.weights),
+                unit=config.unit,
                 views=2,
                 scene=config.scene,
                 split=config.split,

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from ...core.errors import InputError
+from ...core.units import LengthUnit
 from ...core.validation import require_choice, require_range, require_within
 from ..simulation.scene_kinds import SCENE_KINDS, SCENE_MIXTURES, SceneMixtureName
 from ..simulation.trajectories.stereo import check_stereo
@@ -35,6 +36,9 @@ class GenerateConfig:
     thirteen. Each is the target equally often."""
     distractors: tuple[str, ...] = ()
     """Further objects, which are annotated too but never the target."""
+    unit: LengthUnit = "auto"
+    """Unit of the mesh files: `mm`, `cm`, `m` or `inch`; `auto` reads a diameter of 0.02 to 1 as
+    meters and of 20 to 1000 as millimeters, and prints that."""
     scene: SceneMixtureName = "mixed"
     """`linemod` (light clutter), `clutter` (heavy), `occlusion` (the target between tall props) or
     `heap` (dense clutter of eight objects, all upright); `mixed` alternates between the first two,

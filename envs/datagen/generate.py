@@ -87,6 +87,7 @@ def write_manifest(config: GenerateConfig, object_names: tuple[str, ...]) -> Non
     settings: dict[str, Any] = asdict(config)
     settings |= {"objects": targets, "distractors": object_names[len(targets) :]}
     unused = {name for name, kinds in _ONLY_WITH.items() if config.sampling not in kinds}
+    unused |= {"unit"} if config.unit == "auto" else set()
     check_or_write_manifest(
         config.out / "manifest.json",
         {k: v for k, v in settings.items() if k not in IGNORED_SETTINGS | unused},

@@ -46,10 +46,10 @@ def dataset_objects(config: GenerateConfig) -> dict[str, ObjectModel]:
         InputError: if a distractor is a folder of several, or as ``load_objects``.
     """
     if not config.distractors:
-        return load_objects(config.objects or None)
-    if len(load_objects(config.distractors)) != len(config.distractors):
+        return load_objects(config.objects or None, config.unit)
+    if len(load_objects(config.distractors, config.unit)) != len(config.distractors):
         raise InputError("distractors must be named one by one, not as a folder of several")
-    return load_objects([*(config.objects or OBJECT_NAMES), *config.distractors])
+    return load_objects([*(config.objects or OBJECT_NAMES), *config.distractors], config.unit)
 
 
 def target_names(config: GenerateConfig, names: Sequence[str]) -> Sequence[str]:

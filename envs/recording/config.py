@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ...core.errors import InputError
+from ...core.units import LengthUnit
 from ...core.validation import require_within
 from ...pose_estimator.methods import DEFAULT_METHOD
 from ..simulation.scene_kinds import SceneKindName
@@ -25,6 +26,9 @@ class RecordBankConfig:
     """Seed of the scenes: scene i is episode i of `evaluate-agent --seed`."""
     objects: tuple[str, ...] = ()
     """Names of objects or mesh files; by default the 13 of LineMOD."""
+    unit: LengthUnit = "auto"
+    """Unit of the mesh files: `mm`, `cm`, `m` or `inch`; `auto` reads a diameter of 0.02 to 1 as
+    meters and of 20 to 1000 as millimeters, and prints that."""
     estimator: str = DEFAULT_METHOD
     """Pose estimator: `mid-pnp`, another method, or a .safetensors file for `mid-pnp`."""
     pose_noise: tuple[float, float] | None = None
@@ -76,4 +80,5 @@ class RecordBankConfig:
             "device": self.device,
             "pose_noise": self.pose_noise,
             "objects": self.objects or None,
+            "unit": self.unit,
         }

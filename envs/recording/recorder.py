@@ -75,7 +75,7 @@ class BankRecorder:
 
 def make_header(config: RecordBankConfig) -> BankHeader:
     """Metadata of a bank of simulated scenes."""
-    objects = load_objects(list(config.objects) or None)
+    objects = load_objects(list(config.objects) or None, config.unit)
     return BankHeader(
         source="simulation",
         scene=config.scene,

@@ -8,10 +8,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import fast_simplification
 import numpy as np
 import trimesh
 
+from ...assets import surface
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
 from ...core.files import write_atomically
@@ -62,20 +62,10 @@ def write_evaluation_models(root: str | Path, objects: Iterable[ObjectModel]) ->
 def evaluation_mesh(model: ObjectModel, faces: int = EVALUATION_FACES) -> trimesh.Trimesh:
     """Returns an object's mesh without texture, decimated to at most ``faces`` triangles, meters.
 
-    Vertices that texture seams duplicate are merged. Quadric edge collapse (Garland and Heckbert,
-    "Surface simplification using quadric error metrics", SIGGRAPH 1997).
+    Vertices that texture seams duplicate are merged.
     """
-    mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    if len(mesh.faces) <= faces:
-        return mesh
-    vertices, triangles = fast_simplification.simplify(
-        np.ascontiguousarray(mesh.vertices / model.diameter),  # its thresholds are lengths
-        np.ascontiguousarray(mesh.faces),
-        target_count=faces,
-        agg=3.0,
-    )
-    return trimesh.Trimesh(vertices * model.diameter, triangles, process=False)
+    thinned = surface.simplified(model.vertices, model.faces, faces, 3.0, model.diameter)
+    return trimesh.Trimesh(*thinned, process=False)
 
 
 def _infos(objects: Iterable[ObjectModel]) -> dict[str, dict[str, Any]]:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import trimesh
 
 from ... import assets
 from ...assets import surface
+from ...assets.mesh_files import open_ply
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
 from .fields import MM
@@ -50,29 +52,39 @@ class EvaluationObject:
 
 def load_objects(
     spec: str | Path | Iterable[str | Path] | None = None,
+    unit: str = "auto",
 ) -> dict[str, ObjectModel]:
     """`assets.load_objects` that also reads ``models_info.json`` of BOP datasets.
 
     A mesh ``obj_000005.ply`` in a folder with that file is in millimeters, and its symmetries,
     diameter and name come from the file.
 
+    Args:
+        spec: as of `assets.load_objects`.
+        unit: of all other meshes, see ``core.units``.
+
     Raises:
         InputError: as `assets.load_objects`, or if ``models_info.json`` is invalid or its diameter
             is not that of the mesh.
         FileNotFoundError: as `assets.load_objects`.
     """
-    return assets.load_objects(spec, _load_object)
+    return assets.load_objects(spec, partial(_load_object, unit=unit))
 
 
-def _load_object(name_or_path: str | Path) -> ObjectModel:
+def _load_object(name_or_path: str | Path, unit: str) -> ObjectModel:
     name, path = assets.split_name(name_or_path)
     folder = path.resolve().parent
     info_path = folder / "models_info.json"
     if not (re.fullmatch(r"obj_\d+", path.stem) and path.is_file() and info_path.is_file()):
-        return assets.load_object(name_or_path)
+        return assets.load_object(name_or_path, unit)
     info = read_models_info(folder.parent, folder.name).get(int(path.stem.removeprefix("obj_")))
     if info is None:
-        return assets.load_object(name_or_path)
+        return assets.load_object(name_or_path, unit)
+    if unit not in ("auto", "mm"):
+        raise InputError(
+            f"{path} is described by {info_path}, so that it is in millimeters: leave out the unit "
+            f"{unit!r}, or copy the mesh to another folder"
+        )
     from ...assets.mesh_import import import_mesh
 
     name, symmetries = name or info.name, info.symmetries
@@ -177,8 +189,11 @@ def _read_vertices(path: Path) -> np.ndarray:
     if not path.is_file():
         raise InputError(f"{path} is missing, but models_info.json describes that object")
     try:
-        # With fix_texture, trimesh duplicates vertices at texture seams.
-        mesh: Any = trimesh.load(path, process=False, fix_texture=False)
+        # Vertices as stored, of clouds without faces too.
+        mesh: Any = trimesh.load(
+            open_ply(path)[0], file_type="ply", process=False, fix_texture=False,
+            skip_materials=True,
+        )  # fmt: skip
         vertices = np.asarray(mesh.vertices, dtype=np.float64) / MM
     except Exception as error:  # mesh readers raise any type of error for invalid files
         raise InputError(f"{path} cannot be read as a mesh (truncated?): {error!r}") from error

@@ -3,13 +3,13 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import fast_simplification
 import numpy as np
 import trimesh
 
 from ...assets import surface
+from ...assets.mesh_files import Part, open_ply, read_parts, unpainted
 from ...core.errors import InputError
-from ..bop.fields import MM, Report
+from ..bop.fields import MM
 from ..bop.models_info import BopModelInfo, read_entries
 from .findings import Findings
 
@@ -24,7 +24,7 @@ class CheckedModel:
     Attributes:
         info: the entry; NaN where invalid.
         info_path: ``models_info.json``.
-        mesh: as read, meters; None where it cannot be read.
+        part: the mesh and its colors as read, meters; None where it cannot be read.
         vertices: (V, 3) of the mesh decimated for silhouettes, meters.
         faces: (F, 3).
         measured: diameter of the mesh, meters; NaN without one.
@@ -32,7 +32,7 @@ class CheckedModel:
 
     info: BopModelInfo
     info_path: Path
-    mesh: trimesh.Trimesh | None
+    part: Part | None
     vertices: np.ndarray
     faces: np.ndarray
     measured: float
@@ -43,6 +43,10 @@ class CheckedModel:
         return self.info.obj_id
 
     @property
+    def mesh(self) -> trimesh.Trimesh | None:
+        """Its triangles, meters; None where they cannot be read."""
+        return None if self.part is None else self.part.mesh
+
     def bounds(self) -> np.ndarray:
         """Lower and upper corner of the mesh's bounding box, (2, 3), meters."""
         if self.mesh is None:
@@ -100,57 +104,63 @@ def _read_folder(folder: Path, findings: Findings) -> dict[int, CheckedModel]:
     # Errors need the vertices only.
     faces = folder.name != EVALUATION or not (folder.parent / MODELS).is_dir()
     return {
-        obj_id: _read_model(info, path, findings.error, faces=faces)
-        for obj_id, info in infos.items()
+        obj_id: _read_model(info, path, findings, faces=faces) for obj_id, info in infos.items()
     }
 
 
-def _read_model(info: BopModelInfo, path: Path, report: Report, *, faces: bool) -> CheckedModel:
-    mesh = _read_mesh(info.mesh_path, report, faces=faces)
-    if mesh is None:
+def _read_model(info: BopModelInfo, path: Path, findings: Findings, *, faces: bool) -> CheckedModel:
+    part = _read_part(info.mesh_path, findings, faces=faces)
+    if part is None:
         return CheckedModel(info, path, None, np.empty((0, 3)), np.empty((0, 3), np.int32), np.nan)
+    mesh = part.mesh
     measured = surface.diameter(np.asarray(mesh.vertices))
-    return CheckedModel(info, path, mesh, *_decimate(mesh), measured)
+    thinned = surface.simplified(mesh.vertices, mesh.faces, SILHOUETTE_FACES, aggressiveness=5.0)
+    return CheckedModel(info, path, part, *thinned, measured)
 
 
-def _read_mesh(path: Path, report: Report, *, faces: bool) -> trimesh.Trimesh | None:
-    """Returns the mesh in meters, or None; ``faces``: whether points alone are an error."""
+def _read_part(path: Path, findings: Findings, *, faces: bool) -> Part | None:
+    """Returns the mesh in meters with its colors, or None.
+
+    Points alone are an error if ``faces``.
+    """
     if not path.is_file():
-        report(
+        findings.error(
             path, "file", "an object has no mesh", detail=f"{path.name} is missing",
             remedy="restore the mesh, or remove the object from models_info.json",
         )  # fmt: skip
         return None
+    unreadable = ""
     try:
-        mesh = trimesh.load(path, process=False)
-        if isinstance(mesh, trimesh.PointCloud) and not faces:
-            mesh = trimesh.Trimesh(mesh.vertices, process=False)
-        if not isinstance(mesh, trimesh.Trimesh) or (faces and not len(mesh.faces)):
-            raise InputError("no faces: a surface is needed, not points")
-        if not np.isfinite(mesh.vertices).all():
-            raise InputError("NaN or infinite coordinates")
-        if len(mesh.faces) and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
-            raise InputError("faces with invalid vertex indices")
-        mesh.apply_scale(1 / MM)
-        surface.diameter(np.asarray(mesh.vertices))
-    except Exception as error:  # mesh readers raise any type of error for invalid files
-        report(
+        try:
+            part = _only_part(path, faces=faces, colors=True)
+        except InputError as error:
+            unreadable = " ".join(str(error).split())
+            part = _only_part(path, faces=faces, colors=False)
+        part.mesh.apply_scale(1 / MM)
+        surface.diameter(np.asarray(part.mesh.vertices))
+    except Exception as error:  # what reads and measures meshes raises all kinds of errors
+        findings.error(
             path, "file", "the mesh cannot be read",
             detail=" ".join(str(error).split())[:100] or type(error).__name__,
             cause="truncated, or exported without faces",
             remedy="export it again as a PLY with faces",
         )  # fmt: skip
         return None
-    return mesh
+    if unreadable:
+        findings.warning(
+            path, "colors", "the colors of the mesh cannot be read", detail=unreadable,
+            cause="a texture that is missing or damaged",
+            remedy="restore it: generate and train-estimator refuse this mesh",
+        )  # fmt: skip
+    return part
 
 
-def _decimate(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
-    """Returns vertices and faces after quadric edge collapse."""
-    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    if len(faces) > SILHOUETTE_FACES:
-        size = float(mesh.extents.max())  # the collapse's thresholds are lengths
-        decimated, faces = fast_simplification.simplify(
-            (vertices / size).astype(np.float32), faces, target_count=SILHOUETTE_FACES, agg=5.0
-        )
-        vertices = decimated.astype(np.float64) * size
-    return vertices, np.asarray(faces)
+def _only_part(path: Path, *, faces: bool, colors: bool) -> Part:
+    try:
+        (part,) = read_parts(path, colors=colors)
+    except InputError:
+        cloud = None if faces else trimesh.load(open_ply(path)[0], file_type="ply")
+        if not isinstance(cloud, trimesh.PointCloud) or not np.isfinite(cloud.vertices).all():
+            raise
+        part = Part(trimesh.Trimesh(cloud.vertices, process=False), unpainted(str(path)))
+    return part

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Iterable
 
 import numpy as np
-import trimesh
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from ...assets.mesh_files import Part
 from ...assets.surface_colors import sample_colors
 from ...core.geometry import make_transform
 from ..bop.fields import MM
@@ -43,12 +43,12 @@ def check_models(
     symmetries are checked that are listed.
     """
     for model in models:
-        if model.mesh is None:
+        if model.part is None:
             continue
         if _check_units(model, findings):
             _check_sizes(model, findings)
-        if len(model.mesh.faces):
-            _check_symmetries(model, model.mesh, findings, missing=colored)
+        if len(model.part.mesh.faces):
+            _check_symmetries(model, model.part, findings, missing=colored)
 
 
 def _check_units(model: CheckedModel, findings: Findings) -> bool:
@@ -104,10 +104,10 @@ def _wrong_unit(ratio: float) -> str:
 
 
 def _check_symmetries(
-    model: CheckedModel, mesh: trimesh.Trimesh, findings: Findings, *, missing: bool
+    model: CheckedModel, part: Part, findings: Findings, *, missing: bool
 ) -> None:
-    points, _, colors = sample_colors([mesh], _POINTS)
-    dense, _, dense_colors = sample_colors([mesh], DENSE_POINTS)
+    points, _, colors = sample_colors([part], _POINTS)
+    dense, _, dense_colors = sample_colors([part], DENSE_POINTS)
     tree = KDTree(dense)
 
     def moved(T: np.ndarray) -> tuple[float, float]:
@@ -135,7 +135,7 @@ def _check_symmetries(
         _check_listed(model, name, T, moved, findings)
     if listed or not missing:
         return
-    _check_missing(model, mesh.bounds.mean(axis=0), moved, findings)
+    _check_missing(model, part.mesh.bounds.mean(axis=0), moved, findings)
 
 
 def _check_missing(

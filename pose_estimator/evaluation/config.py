@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from ...core.errors import InputError
+from ...core.units import LengthUnit
 from ...core.validation import require_within
 from ..methods import DEFAULT_METHOD
 
@@ -46,6 +47,9 @@ class EvaluateConfig:
     objects: tuple[str, ...] = ()
     """Objects of the scenes, by name or path of a mesh; none = all that the weights know. With
     --data: meshes on whose surface errors are measured where the dataset has no models."""
+    unit: LengthUnit = "auto"
+    """Unit of the mesh files: `mm`, `cm`, `m` or `inch`; `auto` reads a diameter of 0.02 to 1 as
+    meters and of 20 to 1000 as millimeters, and prints that."""
     seed: int = 1000
     """Random seed of the scenes. Training data has other seeds."""
     data: Path | None = None

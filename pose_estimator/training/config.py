@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from ...core.errors import InputError
+from ...core.units import LengthUnit
 from ...core.validation import require_within
 
 
@@ -73,6 +74,9 @@ class TrainEstimatorConfig:
     objects: tuple[str, ...] = ()
     """Objects to train, by name or mesh file (NAME=FILE names a mesh). None = the objects that the
     dataset was generated for; the 13 built-in ones if it shows only these, or has no models."""
+    unit: LengthUnit = "auto"
+    """Unit of the mesh files: `mm`, `cm`, `m` or `inch`; `auto` reads a diameter of 0.02 to 1 as
+    meters and of 20 to 1000 as millimeters, and prints that."""
     split: str = "train_pbr"
     """Split of the dataset to train on; `train_real` in many BOP datasets."""
     stages: tuple[str, ...] = ()

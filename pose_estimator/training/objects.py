@@ -17,13 +17,16 @@ _TOLERANCE = 1e-4
 """Maximum difference in meters of the bounding boxes of one model."""
 
 
-def training_objects(data: Path, objects: Sequence[str]) -> dict[str, ObjectModel]:
+def training_objects(
+    data: Path, objects: Sequence[str], unit: str = "auto"
+) -> dict[str, ObjectModel]:
     """Returns the objects of a training, by name.
 
     Args:
         data: the dataset.
         objects: the requested names and meshes. If there are none: the dataset's own models, or
             the built-in objects where :func:`dataset_models` returns None.
+        unit: of requested mesh files.
 
     Raises:
         InputError: if a model cannot be read, or a requested object is not the dataset's of that
@@ -31,7 +34,7 @@ def training_objects(data: Path, objects: Sequence[str]) -> dict[str, ObjectMode
         FileNotFoundError: if a mesh is missing.
     """
     if objects:
-        return _matched(data, load_objects(list(objects)))
+        return _matched(data, load_objects(list(objects), unit))
     specs = dataset_models(data)
     if specs is None:
         return assets.load_objects(None)

@@ -126,7 +126,7 @@ def start_networks(config: TrainEstimatorConfig) -> PoseNetworks:
     """Returns the initial networks; see :func:`start_from` for what it raises."""
     from ..networks.container import NetworkConfig, PoseNetworks
 
-    objects = training_objects(config.data, config.objects)
+    objects = training_objects(config.data, config.objects, config.unit)
     networks = PoseNetworks(objects, NetworkConfig(preset=config.preset))
     encoders = networks.detector.encoder, networks.features.encoder
     if config.init is not None:

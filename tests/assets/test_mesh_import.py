@@ -140,12 +140,34 @@ def test_the_files_frame_is_kept(tmp_path: Path) -> None:
     assert model.points.shape == (1000, 3)
 
 
-@pytest.mark.parametrize(("scale", "unit"), [(0.1, "auto"), (100.0, "auto"), (5.0, "mm"), (2, "m")])
-def test_units(tmp_path: Path, scale: float, unit: str) -> None:
+@pytest.mark.parametrize(
+    ("scale", "unit", "expected", "words"),
+    [
+        (0.1, "auto", 0.1, "read as meters, 100 mm across"),
+        (100.0, "auto", 0.1, "read as millimeters, 100 mm across"),
+        (5.0, "mm", 0.005, "read as millimeters, 5 mm across"),
+        (0.015, "m", 0.015, "read as meters, 15 mm across"),
+        (31.0, "cm", 0.31, "read as centimeters, 310 mm across"),
+        (5.0, "inch", 0.127, "read as inches, 127 mm across"),
+        (2, "m", 2.0, "read as meters, 2 m across"),
+    ],
+)
+def test_units(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    scale: float,
+    unit: str,
+    expected: float,
+    words: str,
+) -> None:
     bottle(scale=scale).export(tmp_path / "egg.ply")
-    model = import_mesh(tmp_path / "egg.ply", unit=unit)
-    expected = {0.1: 0.1, 100.0: 0.1, 5.0: 0.005, 2: 2.0}[scale]
-    assert model.diameter == pytest.approx(expected, rel=0.01)
+    for _ in range(2):  # also from the cache on disk
+        mesh_import.import_cached.cache_clear()
+        model = import_mesh(tmp_path / "egg.ply", unit=unit)
+        assert model.diameter == pytest.approx(expected, rel=0.01)
+        assert capsys.readouterr().out == f"egg.ply: {words}, no colors (gray)\n"
+    assert import_mesh(tmp_path / "egg.ply", unit=unit) is model
+    assert not capsys.readouterr().out
 
 
 @pytest.mark.parametrize("scale", [0.001, 5.0, 5000.0])
@@ -199,7 +221,7 @@ def test_arguments_are_validated(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"diameter of 0\.\d+ m, but diameter is given as 0\.2 m"):
         import_mesh(path, diameter=0.2)
     with pytest.raises(ValueError, match="unit must be"):
-        import_mesh(path, unit="inch")
+        import_mesh(path, unit="furlong")
 
 
 def test_imports_are_cached_until_the_file_changes(tmp_path: Path) -> None:

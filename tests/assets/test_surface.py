@@ -1,5 +1,8 @@
 """Keypoints, points, diameters and resting poses against brute force and closed forms."""
 
+import time
+import tracemalloc
+
 import numpy as np
 import pytest
 import trimesh
@@ -28,6 +31,47 @@ def test_keypoints_are_closed_under_symmetries() -> None:
 def test_diameter_against_all_pairs() -> None:
     vertices = np.random.default_rng(0).normal(size=(300, 3))
     assert surface.diameter(vertices) == pytest.approx(pdist(vertices).max(), rel=1e-12)
+
+
+@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.9, 0.4)])
+def test_diameter_of_many_hull_vertices(axes: tuple[float, float, float]) -> None:
+    directions = np.random.default_rng(0).normal(size=(9000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for vertices in (directions * axes, directions * axes + 0.3 * np.abs(directions)):
+        blocks = (cdist(block, vertices).max() for block in np.array_split(vertices, 20))
+        assert surface.diameter(vertices) == pytest.approx(max(blocks), rel=1e-12)
+
+
+@pytest.mark.slow
+def test_a_fine_ball_takes_seconds_and_little_memory() -> None:
+    directions = np.random.default_rng(0).normal(size=(160_000, 3))
+    ball = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    tracemalloc.start()
+    start = time.process_time()
+    assert 2 - 1e-7 < surface.diameter(ball) <= 2 + 1e-12
+    seconds, (_, peak) = time.process_time() - start, tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert seconds < 40 and peak < 1e9  # all pairs: minutes, and 25 GiB in eight blocks
+
+
+def test_a_ball_has_no_thousand_stable_poses() -> None:
+    ball = trimesh.creation.icosphere(4, 0.05)
+    start = time.process_time()
+    poses = surface.stable_poses(ball)
+    assert time.process_time() - start < 5
+    assert len(poses) == 1 and poses[0, 2, 3] == pytest.approx(0.05, rel=0.01)
+
+
+@pytest.mark.parametrize("count", [100, 600])
+def test_thinning_keeps_flat_parts_whose_vertices_are_doubled(count: int) -> None:
+    plate = trimesh.creation.box((0.12, 0.08, 0.004))
+    for _ in range(4):
+        plate = plate.subdivide()
+    doubled = plate.vertices[plate.faces].reshape(-1, 3)  # every triangle has its own
+    faces = np.arange(len(doubled)).reshape(-1, 3)
+    thinned = trimesh.Trimesh(*surface.simplified(doubled, faces, count, 5.0), process=False)
+    assert len(thinned.faces) < len(plate.faces)
+    assert thinned.area == pytest.approx(2 * (0.12 * 0.08 + 0.2 * 0.004), rel=0.02)
 
 
 def test_a_box_rests_on_its_six_sides() -> None:

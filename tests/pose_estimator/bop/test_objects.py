@@ -109,3 +109,14 @@ def test_bop_mesh_has_id_symmetries_and_diameter_of_models_info(tmp_path: Path) 
     with pytest.raises(ValueError, match=r"diameter of 0\.098\d* m, but .* 0\.05 m.*info\.json"):
         load_objects([f"another={folder / 'obj_000007.ply'}"])
     assert any(np.allclose(S[:3, 3], [0, 0, 0.002]) and S[2, 2] < 0 for S in model.symmetries)
+
+
+def test_units_of_meshes_with_and_without_models_info(tmp_path: Path, root: Path) -> None:
+    trimesh.creation.box((14, 3, 8)).export(tmp_path / "brick.ply")
+    (brick,) = load_objects(tmp_path / "brick.ply", "cm").values()
+    np.testing.assert_allclose(brick.extents, (0.14, 0.03, 0.08), rtol=1e-6)
+    with pytest.raises(ValueError, match=r"16\.4 mm in millimeters, .* pass --unit mm, cm, m or"):
+        load_objects(tmp_path / "brick.ply")
+    path = next((root / "models").glob("obj_*.ply"))
+    with pytest.raises(ValueError, match=r"models_info\.json, so that it is in millimeters"):
+        load_objects(path, "cm")

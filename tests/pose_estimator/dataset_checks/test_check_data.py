@@ -260,3 +260,13 @@ def test_boxes_reveal_wrong_poses_without_masks(data):
         "does not project onto its box" in r["problem"] and "w, x, y, z" in r["cause"]
         for r in records
     )
+
+
+def test_missing_textures_are_warned_about(data, capsys):
+    path = data / "models" / "obj_000001.ply"
+    path.write_bytes(
+        path.read_bytes().replace(b"\nelement", b"\ncomment TextureFile gone.png\nelement", 1)
+    )
+    code, records = check(data)
+    assert code == 0 and [r["severity"] for r in records] == ["warning"]
+    assert "colors of the mesh cannot be read" in capsys.readouterr().out
