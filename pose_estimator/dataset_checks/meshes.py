@@ -47,6 +47,7 @@ class CheckedModel:
         """Its triangles, meters; None where they cannot be read."""
         return None if self.part is None else self.part.mesh
 
+    @property
     def bounds(self) -> np.ndarray:
         """Lower and upper corner of the mesh's bounding box, (2, 3), meters."""
         if self.mesh is None:

@@ -68,7 +68,7 @@ def test_object_without_its_surface(tmp_path: Path) -> None:
     assert len(again.vertices) == 8
     stored = (tmp_path / "eggbox" / "object.json").read_text()
     assert len(stored) < 3000
-    with pytest.raises(ValueError, match=r"surface of eggbox.*mesh file"):
+    with pytest.raises(ValueError, match=r"surface of eggbox.*--objects eggbox=FILE"):
         add_or_add_s(np.eye(4), np.eye(4), again)
 
 

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-import trimesh
+from two_view_pose.assets.mesh_files import read_parts
 from two_view_pose.assets.surface_colors import sample_colors
 
 OBJ = """mtllib part.mtl
@@ -26,6 +26,5 @@ def test_textures_of_eight_and_sixteen_bits_have_the_same_colors(tmp_path, bits,
     cv2.imwrite(str(tmp_path / "skin.png"), np.full(shape, level, f"uint{bits}"))
     (tmp_path / "part.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
     (tmp_path / "part.obj").write_text(OBJ)
-    parts = list(trimesh.load_scene(tmp_path / "part.obj").geometry.values())
-    _, _, colors = sample_colors(parts, 10)
+    _, _, colors = sample_colors(read_parts(tmp_path / "part.obj"), 10)
     np.testing.assert_allclose(colors, 150 / 255, atol=0.01)
