@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
-from warnings import filterwarnings
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
@@ -36,9 +36,6 @@ _UNDO: dict[int, Callable[[np.ndarray], np.ndarray]] = {
     8: lambda upright: np.rot90(upright, -1),
 }
 """EXIF orientation -> from the upright image to its stored pixels."""
-
-# Pillow warns of large images, which are refused here where they are too large.
-filterwarnings("ignore", category=Image.DecompressionBombWarning)
 
 
 def read_image(path: Path, mode: Literal["RGB"] | None = "RGB") -> np.ndarray:
@@ -161,7 +158,10 @@ def write_image(path: Path, image: np.ndarray) -> None:
 def _opened(path: Path) -> Iterator[Image.Image]:
     """Opens an image file; what Pillow raises while it is open becomes one of two errors."""
     try:
-        with Image.open(path) as image:
+        with catch_warnings():  # what is too large is refused here
+            simplefilter("ignore", Image.DecompressionBombWarning)
+            image = Image.open(path)
+        with image:
             _check_header(image, path)
             yield image
     except (InputError, MemoryError):

@@ -165,7 +165,6 @@ def test_damaged_exif_data_do_not_hide_a_photograph(tmp_path):
     assert read_photograph(tmp_path / "a.jpg")[1] == 1
 
 
-@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
 @pytest.mark.parametrize(("width", "height"), [(12800, 9600), (16320, 12240)])
 def test_too_many_pixels_are_refused_by_name(tmp_path, width, height):
     assert width * height > MAX_PIXELS
