@@ -1,8 +1,8 @@
 """``early``: a depth map from two views, which gives the voted keypoints their depth.
 
 As in the paper, a keypoint inside or behind the object gets the depth of the surface in front of
-it. Its distance behind that surface in the pose so far widens its covariance, so that the solver
-relies on the keypoints that the reference view sees.
+it. Its distance behind that surface in the pose so far widens its covariance, which is reported and
+which ``--refine votes`` relies on; the solver takes all keypoints alike.
 """
 
 from collections.abc import Sequence
