@@ -9,12 +9,13 @@ export PYTHON TORCH_INDEX
 READY := $(VENV)/.ready
 BIN := $(VENV)/bin
 
-.PHONY: help demo test test-fast lint bench format assets wheel clean
+.PHONY: help demo test test-fast fuzz lint bench format assets wheel clean
 
 help:
 	@echo "make demo    one scene, two views, a pose before and after; writes demo.png"
 	@echo "make test    the test suite"
 	@echo "make test-fast  its tests that take seconds: under two minutes"
+	@echo "make fuzz    damaged files for every reader, for an hour"
 	@echo "make lint    ruff, mypy, and that imports point down"
 	@echo "make bench   times our work against alternatives; writes bench.json"
 	@echo "make format  lets ruff rewrite what it can"
@@ -30,6 +31,9 @@ test: $(READY)
 
 test-fast: $(READY)
 	$(BIN)/pytest -m "not slow" $(TESTS)
+
+fuzz: $(READY)
+	$(BIN)/python tests/fuzz
 
 lint: $(READY) build/lint/two_view_pose
 	$(BIN)/ruff check .

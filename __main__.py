@@ -20,6 +20,9 @@ from .core.files import check_output
 
 PROGRAM = "two_view_pose"
 
+LONGEST_MESSAGE = 1500
+"""Letters of an error that are printed."""
+
 
 class Command(NamedTuple):
     """Where a command lives, as ``module:name`` below this package.
@@ -123,8 +126,15 @@ def message(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        return text + "; free some, then run the same command again" * full
-    return " ".join(str(error).split()) or type(error).__name__
+        return _short(text) + "; free some, then run the same command again" * full
+    return _short(" ".join(str(error).split())) or type(error).__name__
+
+
+def _short(text: str) -> str:
+    """Leaves out the middle of a text that repeats most of a damaged file."""
+    if len(text) <= LONGEST_MESSAGE:
+        return text
+    return f"{text[: LONGEST_MESSAGE - 300]} [...] {text[-300:]}"
 
 
 def show_warning(

@@ -14,7 +14,10 @@ from PIL import Image
 
 from ..core.errors import InputError
 from ..core.files import write_atomically
+from ..core.geometry import check_rigid
 from ..core.images import to_rgb
+from ..core.text_files import read_text
+from ..core.validation import is_number
 from .object_model import ObjectModel
 
 FORMAT_VERSION = 1
@@ -82,20 +85,52 @@ def read_object(folder: str | Path) -> ObjectModel:
     if not (folder / NUMBERS_FILE).is_file():
         raise FileNotFoundError(f"{folder} is not a built object: {NUMBERS_FILE} is missing")
     try:
-        numbers = json.loads((folder / NUMBERS_FILE).read_text())
+        numbers = json.loads(read_text(folder / NUMBERS_FILE))
         if numbers["format"] != FORMAT_VERSION:
             raise InputError(f"format is {numbers['format']}, this version reads {FORMAT_VERSION}")
         known: dict[str, Any] = {key: numbers[key] for key in _SCALARS}
         if "box" in numbers:
             known |= {key: np.asarray(numbers[key], np.float64) for key in _WITHOUT_SURFACE}
-            return _without_surface(np.asarray(numbers["box"], np.float64), known)
+            return _checked(_without_surface(np.asarray(numbers["box"], np.float64), known))
         if not (folder / MESH_FILE).is_file():
             raise FileNotFoundError(f"{folder} is not a built object: {MESH_FILE} is missing")
         vertices, faces, uv, texture = _read_glb(folder / MESH_FILE)
         known |= {key: np.asarray(numbers[key], dtype=np.float64) for key in _ARRAYS}
-        return ObjectModel(vertices=vertices, faces=faces, uv=uv, texture=texture, **known)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        model = ObjectModel(vertices=vertices, faces=faces, uv=uv, texture=texture, **known)
+        return _checked(model)
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:  # trimesh raises all kinds of errors
         raise InputError(f"the object in {folder} cannot be read: {error}") from error
+
+
+def _checked(model: ObjectModel) -> ObjectModel:
+    """Returns an object whose numbers are valid; raises ValueError where one is not."""
+    shapes = {
+        "vertices": (None, 3), "faces": (None, 3), "uv": (None, 2), "points": (None, 3),
+        "keypoints": (9, 3), "symmetries": (None, 4, 4), "stable_poses": (None, 4, 4),
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        array = getattr(model, name)
+        fits = array.ndim == len(shape) and all(
+            wanted in (None, side) for wanted, side in zip(shape, array.shape, strict=True)
+        )
+        if not fits or not np.isfinite(array).all() or not (len(array) or name == "points"):
+            raise ValueError(f"{name} of shape {array.shape} is empty, not finite or misshapen")
+    for name in ("symmetries", "stable_poses"):
+        for number, T in enumerate(getattr(model, name)):
+            check_rigid(T, f"{name} {number}", tolerance=1e-3)
+    if model.faces.min() < 0 or model.faces.max() >= len(model.vertices):
+        raise ValueError("faces name vertices that are not there")
+    if len(model.uv) != len(model.vertices):
+        raise ValueError(f"{len(model.uv)} texture coordinates of {len(model.vertices)} vertices")
+    if not isinstance(model.name, str) or type(model.obj_id) is not int or model.obj_id < 0:
+        raise ValueError(f"name and obj_id are {model.name!r:.40} and {model.obj_id!r:.40}")
+    for name, low, high in (("diameter", 1e-9, 1e9), ("specular", 0, 1), ("shininess", 0, 1)):
+        value = getattr(model, name)
+        if not is_number(value) or not low <= value <= high:
+            raise ValueError(f"{name} is {value!r:.40}")
+    return model
 
 
 def _without_surface(bounds: np.ndarray, known: dict[str, Any]) -> ObjectModel:

@@ -79,7 +79,7 @@ def check_image(image: np.ndarray, name: str = "image") -> np.ndarray:
     return array
 
 
-def check_depth(depth: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def check_depth(depth: np.ndarray, shape: tuple[int, ...], name: str = "depth") -> np.ndarray:
     """Returns a depth map as float32 of ``shape`` (H, W), meters; NaN and infinity become 0.
 
     Raises:
@@ -87,14 +87,14 @@ def check_depth(depth: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """
     array = np.asarray(depth, dtype=np.float32)
     if array.shape != tuple(shape):
-        raise InputError(f"depth must have the image's shape {tuple(shape)}, got {array.shape}")
+        raise InputError(f"{name} must have the image's shape {tuple(shape)}, got {array.shape}")
     known = np.isfinite(array)
     if not known.all():  # what many sensors' drivers write where they see nothing
         array = np.where(known, array, np.float32(0))
     if array.min(initial=0.0) < 0:
         raise InputError(
-            "depth must not be negative (meters along z, which points forward; 0 = unknown), got "
-            f"{array.min():g}"
+            f"{name} must not be negative (meters along z, which points forward; 0 = unknown), "
+            f"got {array.min():g}"
         )
     return array
 

@@ -6,7 +6,6 @@ The document is ``{"command", "versions", "seed", "records"}``; a record is ``{"
 
 import contextlib
 import json
-import math
 import os
 import platform
 import subprocess
@@ -20,6 +19,7 @@ from typing import Any
 from .errors import InputError
 from .files import write_atomically
 from .text_files import read_text
+from .validation import is_number
 
 PACKAGES = (
     "two-view-pose",
@@ -70,15 +70,18 @@ def check_record(record: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: if a key is missing or a value has another type.
     """
+    if not isinstance(record, Mapping):
+        raise InputError(f"a record must map names to values, got {str(record)[:80]}")
     plain = {k: value.item() if hasattr(value, "item") else value for k, value in record.items()}
     kinds: dict[str, tuple[type, ...]] = {"metric": (str,), "value": (int, float), "unit": (str,)}
     for key in kinds | plain:
         value, types = plain.get(key), kinds.get(key, (str, int, float, bool, NoneType))
-        infinite = isinstance(value, float) and not math.isfinite(value)
+        infinite = type(value) in (int, float) and not is_number(value)
         if infinite or type(value) not in types:
             allowed = ", ".join(kind.__name__ for kind in types)
             raise InputError(
-                f"record's {key} must be finite and of type {allowed}, got {value!r}: {plain}"
+                f"record's {key[:40]} must be finite and of type {allowed}, got {value!r:.80}: "
+                f"{plain!s:.300}"
             )
     return plain
 
@@ -118,11 +121,25 @@ def read_results(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     try:
         document = json.loads(read_text(Path(path)))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"results file {path} is not JSON: {error}") from error
     keys = {"command", "versions", "seed", "records"}
     if not isinstance(document, dict) or set(document) != keys:
         found = sorted(document) if isinstance(document, dict) else type(document).__name__
-        raise InputError(f"results file {path} must have the keys {sorted(keys)}, got {found}")
-    document["records"] = [check_record(record) for record in document["records"]]
+        raise InputError(
+            f"results file {path} must have the keys {sorted(keys)}, got {found!s:.200}"
+        )
+    kinds: dict[str, Any] = {
+        "command": str,
+        "versions": dict,
+        "seed": (int, NoneType),
+        "records": list,
+    }
+    for key, kind in kinds.items():
+        if not isinstance(document[key], kind) or isinstance(document[key], bool):
+            raise InputError(f"results file {path}: {key} is wrong: {document[key]!r:.80}")
+    try:
+        document["records"] = [check_record(record) for record in document["records"]]
+    except InputError as error:
+        raise InputError(f"results file {path}: {error}") from error
     return document

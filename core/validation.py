@@ -1,10 +1,19 @@
-"""Checks of settings: every error names the field, what is allowed, and the value."""
+"""Checks of settings and numbers: errors name the field, what is allowed, and the value."""
 
 import math
+import sys
 from collections.abc import Iterable, Sequence
 from numbers import Real
+from typing import TypeGuard
 
 from .errors import InputError
+
+
+def is_number(value: object) -> TypeGuard[int | float]:
+    """Whether a value, as of a JSON file, is a finite number: no bool, NaN or 10**400."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= sys.float_info.max
 
 
 def require_within(config: object, low: float, high: float, *names: str, prefix: str = "") -> None:

@@ -61,7 +61,7 @@ def parse_intrinsics(text: str) -> Intrinsics:
     parts = text.split(",")
     if len(parts) == 4:
         try:
-            return Intrinsics(_of_four(list(map(float, parts))))
+            return Intrinsics(_of_four(list(map(float, parts)), "K"))
         except ValueError as error:
             if isinstance(error, InputError):
                 raise
@@ -92,7 +92,7 @@ def parse_intrinsics(text: str) -> Intrinsics:
         four = _numbers([content[key] for key in _FOCAL])
         if four.shape != (4,):
             raise InputError(f"K: {path}: {', '.join(_FOCAL)} must be numbers")
-        return Intrinsics(_of_four(four.tolist()), size)
+        return Intrinsics(_of_four(four.tolist(), f"K: {path}"), size)
     return Intrinsics(_matrix(read_matrix(path, "K", K_KEYS, content), path), size)
 
 
@@ -126,22 +126,22 @@ def read_relative_pose(path: Path, name: str = "relative_pose") -> np.ndarray:
         T = np.vstack([T, [0.0, 0.0, 0.0, 1.0]])
     if T.shape == (4, 4) and np.allclose(T[:3, 3], 0) and not np.allclose(T[3, :3], 0):
         raise InputError(f"{name}: {path} is transposed: its translation is in the last row")
-    T = check_rigid(T, name, ROTATION_TOLERANCE).copy()
+    T = check_rigid(T, f"{name}: {path}", ROTATION_TOLERANCE).copy()
     U, _, Vt = np.linalg.svd(T[:3, :3])
     T[:3, :3], T[3] = U @ Vt, (0.0, 0.0, 0.0, 1.0)
     return T
 
 
-def _of_four(numbers: list[float]) -> np.ndarray:
+def _of_four(numbers: list[float], name: str) -> np.ndarray:
     fx, fy, cx, cy = numbers
-    return check_intrinsics(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]))
+    return check_intrinsics(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), name)
 
 
 def _numbers(values: Any) -> np.ndarray:
     """The finite numbers of a field, or none where it holds something else."""
     try:
         found = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return np.empty(0)
     return found if np.isfinite(found).all() else np.empty(0)
 
@@ -149,7 +149,7 @@ def _numbers(values: Any) -> np.ndarray:
 def _matrix(matrix: np.ndarray, path: Path) -> np.ndarray:
     """Returns a 3x3 matrix that was given as such, as four numbers, or in a larger matrix."""
     if matrix.size == 4 and 1 in (matrix.ndim, *matrix.shape):
-        return _of_four(matrix.ravel().tolist())
+        return _of_four(matrix.ravel().tolist(), f"K: {path}")
     if matrix.shape in ((3, 4), (4, 4)):
         if np.any(matrix[:3, 3]):
             raise InputError(
@@ -158,7 +158,7 @@ def _matrix(matrix: np.ndarray, path: Path) -> np.ndarray:
         matrix = matrix[:3, :3]
     if matrix.shape == (3, 3) and np.allclose(matrix[:2, 2], 0) and (matrix[2, :2] > 0).all():
         raise InputError(f"K: {path} is transposed: MATLAB is column-major")
-    return check_intrinsics(matrix)
+    return check_intrinsics(matrix, f"K: {path}")
 
 
 def _one_camera(content: Mapping[str, Any], path: Path) -> Mapping[str, Any]:

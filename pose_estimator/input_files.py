@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..core.array_files import load_arrays
 from ..core.errors import InputError
 from ..core.geometry import check_depth
 from ..core.images import read_image
@@ -38,25 +39,8 @@ def read_content(path: Path, name: str) -> Any:
             return _read_storage(path)
         text = read_text(path)
         return np.loadtxt(text.splitlines(), delimiter="," if "," in text else None)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise InputError(f"{name}: {path} holds no matrix of numbers ({error})") from error
-
-
-def load_arrays(path: Path) -> Any:
-    """Returns the array of a .npy file, or the dictionary of arrays of a .npz file.
-
-    Raises:
-        OSError: if it cannot be opened.
-        ValueError: if it is truncated or damaged.
-    """
-    try:
-        with path.open("rb") as stream:
-            values = np.load(stream, allow_pickle=False)
-            return values if isinstance(values, np.ndarray) else dict(values)
-    except Exception as error:  # NumPy and zipfile raise all kinds of errors
-        if getattr(error, "filename", None):  # it could not be opened
-            raise
-        raise ValueError(f"it is truncated or damaged: {error}") from error
 
 
 def read_matrix(
@@ -86,8 +70,10 @@ def read_matrix(
             values = values[found[0]]
             if isinstance(values, dict) and "data" in values:
                 values = values["data"]
+        if np.iscomplexobj(values):
+            raise InputError("they are complex")
         matrix = np.asarray(values, dtype=np.float64)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise InputError(f"{name}: {path} holds no matrix of numbers ({error})") from error
     shapes = {9: (3, 3), 12: (3, 4), 16: (4, 4)}
     return matrix.reshape(shapes[matrix.size]) if _is_list(matrix, shapes) else matrix
@@ -165,7 +151,7 @@ def read_depth_map(path: Path, unit: float | None = None) -> DepthMap:
         )
     if unit is None:
         unit = 1.0 if steps.dtype.kind == "f" else 0.001
-    depth = check_depth(steps.astype(np.float64) * unit, steps.shape)
+    depth = check_depth(steps.astype(np.float64) * unit, steps.shape, f"depth {path}")
     known = depth[depth > 0]
     if not known.size:
         raise InputError(f"depth {path} has no known pixel: all are 0, NaN or infinite")

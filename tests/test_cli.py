@@ -155,7 +155,7 @@ WRONG = {
     "no such image": (dict(reference=lambda i: i.folder / "no.png"), "no.png"),
     "not an image": (dict(second=lambda i: write(i, "x.png", "x")), "x.png is not an image"),
     "another size": (dict(second=small_image), "reference is 640x480, second is 320x240"),
-    "K 2x2": (dict(K=lambda i: write(i, "K.txt", "1 2\n3 4\n")), "K must be a 3x3"),
+    "K 2x2": (dict(K=lambda i: write(i, "K.txt", "1 2\n3 4\n")), "K.txt must be a 3x3"),
     "K no file": (dict(K=lambda i: "k.yml"), "K must be fx,fy,cx,cy"),
     "K no numbers": (dict(K=lambda i: "500,500,a,240"), "K must be four numbers"),
     "K NaN": (dict(K=lambda i: "500,nan,320,240"), "K has NaN"),
@@ -163,11 +163,11 @@ WRONG = {
     "K without its key": (dict(K=lambda i: write(i, "K2.json", "{}")), "none of the keys K, cam_K"),
     "pose not rigid": (
         {"relative-pose": lambda i: write(i, "T2.json", json.dumps(SCALED))},
-        "relative_pose is not rigid",
+        "T2.json is not rigid",
     ),
     "pose 3x3": (
         {"relative-pose": lambda i: write(i, "T.txt", "1 0 0\n0 1 0\n0 0 1\n")},
-        "relative_pose must be a 4x4",
+        "T.txt must be a 4x4",
     ),
     "pose no numbers": (
         {"relative-pose": lambda i: write(i, "T3.txt", "hello")},

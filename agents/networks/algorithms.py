@@ -1,6 +1,7 @@
 """Training algorithms, and checks of their hyper-parameters given as plain data."""
 
 import inspect
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
 from ...core.errors import InputError
+from ...core.validation import require_within
 from .candidates import CandidateExtractor
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC, "dqn": sb3.DQN}
@@ -25,6 +27,12 @@ NAMED_CLASSES: dict[str, dict[str, type[nn.Module]]] = {
     "features_extractor_class": {"CandidateExtractor": CandidateExtractor},
 }
 """Policy arguments that are classes, and the names that select them in plain data."""
+
+MAX_SIZE = 8192
+"""Of a layer: a damaged file must not fill the memory."""
+
+MAX_DEPTH = 5
+"""Of lists and mappings in each other among the policy's arguments."""
 
 RESERVED_KEYS = frozenset({"n_timesteps", "n_envs", "policy", "policy_kwargs"})
 """Hyper-parameters that are not passed to the algorithm unchanged."""
@@ -63,11 +71,21 @@ class GreedyHyperparameters:
     networks: int = 4
     sure: float = 0.95
 
+    def __post_init__(self) -> None:
+        counts = ("epochs", "batch_size", "features_dim", "width", "networks")
+        for name in counts:
+            if type(getattr(self, name)) is not int:
+                raise InputError(f"{name} must be an integer, got {getattr(self, name)!r:.80}")
+        require_within(self, 1, 10_000, *counts)
+        require_within(self, 0, 1, "dropout", "sure")
+        require_within(self, 0, math.inf, "learning_rate", "weight_decay")
+
 
 def check_hyperparameters(algo: str, entry: Mapping[str, Any]) -> None:
     """Raises InputError if the algorithm, or an argument of it or of its policy, is unknown."""
     if algo == GREEDY:
         _check_names("hyper-parameters of greedy", entry, GreedyHyperparameters)
+        GreedyHyperparameters(**entry)
         return
     if algo not in ALGORITHMS:
         raise InputError(f"algo must be one of {', '.join([*ALGORITHMS, GREEDY])}, got {algo!r}")
@@ -78,13 +96,27 @@ def check_hyperparameters(algo: str, entry: Mapping[str, Any]) -> None:
     if not isinstance(kwargs, Mapping):
         raise InputError(f"policy_kwargs must be a mapping, got {kwargs!r}")
     _check_names("policy_kwargs", kwargs, ALGORITHMS[algo].policy_aliases[POLICY_CLASS])
+    _check_sizes(kwargs)
+
+
+def _check_sizes(value: Any, depth: int = 0) -> None:
+    """Raises InputError where a number is too large for the size of a layer."""
+    if depth > MAX_DEPTH:  # a file may name a list within itself
+        raise InputError(f"policy_kwargs are nested more than {MAX_DEPTH} times")
+    if isinstance(value, Mapping | list | tuple):
+        for part in value.values() if isinstance(value, Mapping) else value:
+            _check_sizes(part, depth + 1)
+    elif isinstance(value, int) and value > MAX_SIZE:
+        raise InputError(f"numbers in policy_kwargs must be <= {MAX_SIZE}, got {value!s:.80}")
 
 
 def _check_names(what: str, names: Iterable[str], function: Any) -> None:
     allowed = inspect.signature(function).parameters.keys() - NON_SERIALIZABLE
-    unknown = ", ".join(sorted(str(name) for name in names if name not in allowed))
+    unknown = sorted(str(name) for name in names if name not in allowed)
     if unknown:
-        raise InputError(f"unknown {what}: {unknown} (allowed: {', '.join(sorted(allowed))})")
+        raise InputError(
+            f"unknown {what}: {', '.join(unknown)} (allowed: {', '.join(sorted(allowed))})"
+        )
 
 
 def policy_kwargs(entry: Mapping[str, Any]) -> dict[str, Any]:

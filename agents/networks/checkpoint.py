@@ -20,6 +20,7 @@ from safetensors.torch import save
 from ...core.errors import InputError
 from ...core.files import write_atomically
 from ...core.results import commit, versions
+from ...core.validation import is_number
 from ...pose_estimator.networks.quantization import pack
 
 FORMAT = "two-view-pose agent 2"
@@ -139,7 +140,7 @@ def read_agent(
             names = {key: key for key in file.keys()} | header.aliases  # noqa: SIM118
             names = {key: name for key, name in names.items() if key.startswith(prefix)}
             tensors = {key: file.get_tensor(name).clone() for key, name in names.items()}
-    except (SafetensorError, OSError, TypeError) as error:
+    except (SafetensorError, OSError, TypeError, UnicodeError) as error:
         raise InputError(f"{source} is not a complete safetensors file: {error}") from error
     for key, tensor in tensors.items():
         if tensor.is_floating_point() and not torch.isfinite(tensor).all():
@@ -154,15 +155,24 @@ def _parse_header(text: str | None, source: Path) -> AgentHeader:
         content = json.loads(text)
         found = content.get("format") if isinstance(content, dict) else content
         if found != FORMAT:
-            raise InputError(f"agent file {source} must have the format {FORMAT!r}, got {found!r}")
+            raise InputError(
+                f"agent file {source} must have the format {FORMAT!r}, got {found!r:.80}"
+            )
         header = AgentHeader(**content)
         types = {"algo": str, "env": str, "steps": int, "n_envs": int, "seed": int}
         types |= {"env_kwargs": dict, "hyperparameters": dict, "counters": dict, "aliases": dict}
         for key, kind in types.items():
             value = getattr(header, key)
-            if not isinstance(value, kind):
-                raise TypeError(f"{key} must be {kind.__name__}, got {value!r}")
-    except (json.JSONDecodeError, RecursionError, TypeError) as error:
+            if not isinstance(value, kind) or isinstance(value, bool):
+                raise TypeError(f"{key} must be {kind.__name__}, got {value!r:.80}")
+        for key, value in header.counters.items():
+            if not is_number(value):
+                raise TypeError(f"the counter {key} must be a number, got {value!r:.80}")
+        if min(header.steps, header.counters.get("num_timesteps", 0)) < 0:
+            raise TypeError(f"steps must be >= 0, got {header.steps} and {header.counters}")
+    except InputError:
+        raise
+    except (RecursionError, TypeError, ValueError) as error:
         raise InputError(f"agent file {source} has a corrupted header: {error}") from error
     return header
 

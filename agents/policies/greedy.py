@@ -15,6 +15,7 @@ import torch
 from gymnasium import spaces
 from torch import Tensor, nn
 
+from ...core.errors import InputError
 from ..networks.algorithms import GreedyHyperparameters
 from ..networks.checkpoint import AgentHeader, check_tensors
 from ..networks.predictor import ErrorPredictor, view_features
@@ -92,9 +93,14 @@ def load_agent(
     device: torch.device,
 ) -> GreedyAgent:
     """Builds the networks; raises InputError, naming ``source``, if weights and header differ."""
+    hyperparameters = GreedyHyperparameters(**header.hyperparameters)
+    if "object" not in observation_space.spaces or "image" not in observation_space.spaces:
+        raise InputError(f"{source} must observe object and image, got {observation_space}")
+    with torch.device("meta"):  # a damaged header must not fill the memory
+        shapes = GreedyAgent(observation_space, hyperparameters).state_dict()
+    check_tensors(weights, shapes, source)
     with torch.random.fork_rng(devices=[]):  # random initial weights leave the caller's RNG as is
-        agent = GreedyAgent(observation_space, GreedyHyperparameters(**header.hyperparameters))
-    check_tensors(weights, agent.state_dict(), source)
+        agent = GreedyAgent(observation_space, hyperparameters)
     agent.load_state_dict(weights)
     return agent.eval().to(device)
 

@@ -55,14 +55,17 @@ def load_policy(path: str | os.PathLike[str], env: gym.Env, device: str = "auto"
     """
     torch_device = resolve_device(device)
     header, tensors = read_agent(path, prefix="policy/")
-    check_hyperparameters(header.algo, header.hyperparameters)
-    _check_spaces(header, env, path)
     weights, source = subset(tensors, "policy/"), f"agent file {path}"
+    try:
+        check_hyperparameters(header.algo, header.hyperparameters)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+    _check_spaces(header, env, path)
     space = channels_first(env)
     if header.algo == GREEDY:
         known = spaces.Dict({key: space[key] for key in header.observation_space})
         return GreedyPolicy(load_agent(header, known, weights, source, torch_device), header, env)
-    policy = _build(header, space, env.action_space)
+    policy = _build(header, space, env.action_space, source)
     check_tensors(weights, policy.state_dict(), source)
     policy.load_state_dict(weights)
     return TrainedPolicy(policy.to(torch_device))
@@ -80,16 +83,20 @@ def channels_first(env: gym.Env) -> spaces.Dict:
     return spaces.Dict(parts)
 
 
-def _build(header: AgentHeader, space: spaces.Dict, action_space: spaces.Space) -> BasePolicy:
+def _build(
+    header: AgentHeader, space: spaces.Dict, action_space: spaces.Space, source: str
+) -> BasePolicy:
     policy_class: Any = ALGORITHMS[header.algo].policy_aliases[POLICY_CLASS]
-    kwargs = policy_kwargs(header.hyperparameters)
     with torch.random.fork_rng(devices=[]):  # random initial weights leave the caller's RNG as is
         try:
+            kwargs = policy_kwargs(header.hyperparameters)
             policy = policy_class(space, action_space, lambda _: 0.0, **kwargs)
-        except (TypeError, AttributeError, AssertionError) as error:
+        except (MemoryError, torch.OutOfMemoryError):
+            raise
+        except Exception as error:  # of SB3 and torch, for values that they do not expect
             raise InputError(
-                f"policy_kwargs {header.hyperparameters.get('policy_kwargs')} do not make a policy "
-                f"of {header.algo}: {error}"
+                f"{source}: policy_kwargs {header.hyperparameters.get('policy_kwargs')!s:.200} do "
+                f"not make a policy of {header.algo}: {error}"
             ) from error
     policy.set_training_mode(False)
     return policy
@@ -100,11 +107,11 @@ def _check_spaces(header: AgentHeader, env: gym.Env, path: str | os.PathLike[str
     for name in ("observation", "action"):
         trained = getattr(header, f"{name}_space")
         found = describe_space(getattr(env, f"{name}_space"))
-        if greedy and name == "observation" and isinstance(found, dict):
+        if greedy and isinstance(trained, dict) and isinstance(found, dict):
             found = {key: part for key, part in found.items() if key in trained}
         if found != trained and not (greedy and name == "action"):
             here = env.spec.id if env.spec else type(env.unwrapped).__name__
             raise InputError(
-                f"agent file {path} was trained on {header.env} with the {name} space {trained}; "
-                f"{here} has {found}"
+                f"agent file {path} was trained on {header.env:.80} with the {name} space "
+                f"{trained!s:.300}; {here} has {found}"
             )

@@ -28,7 +28,7 @@ def load_hyperparameters(algo: str, env_id: str, path: Path | None = None) -> di
     source = SHIPPED if path is None else path
     try:
         document = yaml.safe_load(read_text(source))
-    except (OSError, InputError, yaml.YAMLError) as error:
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise InputError(f"hyper-parameter file {source} cannot be read: {error}") from error
     table = document.get(algo) if isinstance(document, dict) else None
     entries = table if isinstance(table, dict) else {}
@@ -36,7 +36,11 @@ def load_hyperparameters(algo: str, env_id: str, path: Path | None = None) -> di
     if not isinstance(entry, dict):
         names = ", ".join(sorted(entries)) or "none"
         raise InputError(f"{source} has no entry {algo}: {env_id} (for {algo} it has {names})")
-    check_hyperparameters(algo, entry)
+    try:
+        check_hyperparameters(algo, entry)
+        algorithm_kwargs(entry)
+    except InputError as error:
+        raise InputError(f"{source}, {algo}: {env_id}: {error}") from error
     return entry
 
 

@@ -165,7 +165,7 @@ def _resume(model: BaseAlgorithm, header: AgentHeader, config: TrainAgentConfig)
                 f"{path} is of another run: its {name} is {theirs}, this one's is {ours}; "
                 "pass another --out, or --no-resume to replace it"
             )
-    restore_state(model, tensors, found.counters)
+    restore_state(model, tensors, found.counters, str(path))
     return True
 
 

@@ -62,12 +62,35 @@ def state_tensors(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
 
 
 def restore_state(
+    model: BaseAlgorithm,
+    tensors: Mapping[str, torch.Tensor],
+    values: Mapping[str, float],
+    source: str = "checkpoint",
+) -> None:
+    """Restores a new model from `state_tensors` and `counters` of the file ``source``.
+
+    Raises:
+        InputError: if they are incomplete, or do not fit the model.
+    """
+    try:
+        _restore(model, tensors, values)
+    except (MemoryError, torch.OutOfMemoryError):
+        raise
+    except Exception as error:  # of SB3 and torch, for states that they do not expect
+        advice = "pass another --out, or --no-resume to replace it"
+        raise InputError(f"{source} cannot be resumed ({error}): {advice}") from error
+
+
+def _restore(
     model: BaseAlgorithm, tensors: Mapping[str, torch.Tensor], values: Mapping[str, float]
 ) -> None:
-    """Restores a new model from `state_tensors` and `counters`; raises InputError if incomplete."""
-    missing = sorted(set(counters(model)) - set(values))
+    known = counters(model)
+    missing = sorted(set(known) - set(values))
     if missing:
         raise InputError(f"checkpoint's counters lack {', '.join(missing)}")
+    for name, value in known.items():
+        if isinstance(value, int) and not isinstance(values[name], int):
+            raise InputError(f"checkpoint's counter {name} must be an integer, got {values[name]}")
     variables = _variables(model)
     check_tensors(subset(tensors, "variable/"), subset(variables, "variable/"), "checkpoint")
     states: dict[str, Any] = {"policy": subset(tensors, "policy/")}

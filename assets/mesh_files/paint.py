@@ -7,6 +7,7 @@ import numpy as np
 from trimesh.visual.color import linear_to_srgb, srgb_to_linear
 
 from ...core.errors import InputError
+from ...core.validation import is_number
 from ..texture import sample_texture
 
 DEFAULT_COLOR = np.array([0.62, 0.62, 0.62])
@@ -47,6 +48,28 @@ class Paint:
     glow: "Paint | None" = None
     kind: str = ""
     source: str = ""
+
+    def check(self, vertices: int, faces: int) -> None:
+        """Checks that these are finite colors for so many vertices and faces.
+
+        Raises:
+            InputError: if they are not.
+        """
+        shapes = {"factor": (4,), "colors": (faces if self.of_faces else vertices, 4)}
+        for name, shape in (shapes | {"uv": (vertices, 2)}).items():
+            numbers = getattr(self, name)
+            if numbers is None:
+                continue
+            if numbers.shape != shape or not np.isfinite(numbers).all():
+                what = "texture coordinates" if name == "uv" else "colors"
+                raise InputError(
+                    f"{self.source} has {what} that are not finite, or too few: shape "
+                    f"{numbers.shape}, not {shape}"
+                )
+        if self.cutoff is not None and not is_number(self.cutoff):
+            raise InputError(f"{self.source}: alphaCutoff is no number: {self.cutoff!r:.80}")
+        if self.glow is not None:
+            self.glow.check(vertices, faces)
 
     def rgb(self, faces: np.ndarray, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Returns sRGB colors (N, 3) in [0, 1].

@@ -33,7 +33,11 @@ def read_ply(path: Path, colors: bool) -> list[Part]:
     if len(set(textures)) > 1:
         raise InputError(f"{path} has {len(textures)} textures: join them to one")
     # Vertices are doubled at texture seams where the texture is used, only there.
-    loaded = load_ply(stream, fix_texture=bool(textures), skip_materials=True)
+    try:
+        with np.errstate(invalid="raise"):  # of casts to integers
+            loaded = load_ply(stream, fix_texture=bool(textures), skip_materials=True)
+    except FloatingPointError as error:
+        raise InputError(f"{path} has NaN, infinite or too large numbers") from error
     if "vertices" not in loaded or loaded.get("faces") is None:
         return []
     mesh = trimesh.Trimesh(loaded["vertices"], loaded["faces"], process=False)

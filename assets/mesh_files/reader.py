@@ -1,6 +1,6 @@
 """Reads and checks a mesh file of any type."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -46,21 +46,24 @@ def read_parts(path: Path, *, colors: bool = True) -> list[Part]:
         raise InputError(f"{path.name} must be one of {', '.join(MESH_SUFFIXES)}")
     try:
         parts = _READERS[path.suffix.lower()](path, colors)
+        parts = [part for part in parts if len(part.mesh.faces)]
+        for part in parts:
+            _check_numbers(part.mesh, path)
+            part.paint.check(len(part.mesh.vertices), len(part.mesh.faces))
     except InputError:
         raise
     except Exception as error:  # readers raise all kinds of errors
         raise InputError(f"{path} cannot be read as a mesh: {error!r}") from error
-    parts = [part for part in parts if len(part.mesh.faces)]
     if not parts:
         raise InputError(f"{path} has no faces: a surface is needed, not points")
-    _check_numbers([part.mesh for part in parts], path)
     return parts
 
 
-def _check_numbers(meshes: Sequence[trimesh.Trimesh], path: Path) -> None:
-    for mesh in meshes:
-        if not np.isfinite(mesh.vertices).all():
-            bad = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
-            raise InputError(f"{path} has NaN or infinite coordinates in {bad} vertices")
-        if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-            raise InputError(f"{path} has faces with vertex indices out of range")
+def _check_numbers(mesh: trimesh.Trimesh, path: Path) -> None:
+    if mesh.vertices.ndim != 2 or mesh.vertices.shape[1] != 3:
+        raise InputError(f"{path} has vertices of shape {mesh.vertices.shape}, not x, y and z")
+    if not np.isfinite(mesh.vertices).all():
+        bad = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
+        raise InputError(f"{path} has NaN or infinite coordinates in {bad} vertices")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise InputError(f"{path} has faces with vertex indices out of range")

@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from ...core.errors import InputError
 from ...core.files import write_atomically
+from ...core.text_files import read_text
 
 SUMS_FILE = "SHA256SUMS"
 
@@ -49,7 +50,7 @@ def write_dataset_sums(root: Path, split: str, files: Iterable[str]) -> None:
 def read_sums(folder: Path) -> dict[str, str]:
     """Reads the list of a folder: name -> SHA-256; an InputError if a line is invalid."""
     sums = {}
-    for number, line in enumerate((folder / SUMS_FILE).read_text().splitlines(), 1):
+    for number, line in enumerate(read_text(folder / SUMS_FILE).splitlines(), 1):
         match = _LINE.fullmatch(line)
         if match is None:
             raise InputError(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...core.errors import InputError
+from ...pose_estimator.bop.fields import read_json
 from ...pose_estimator.bop.writer import write_json
 
 _TEMPORARY = re.compile(r"\..+\.(\d+)\.tmp")
@@ -29,9 +30,11 @@ def check_or_write_manifest(
     """
     wanted = json.loads(json.dumps(settings, default=str))  # as read from a file
     if path.exists():
-        before = json.loads(path.read_text())["settings"]
+        before = read_json(path, dict).get("settings")
+        if not isinstance(before, dict):
+            raise InputError(f"{path} has no settings: use another --out, or delete the folder")
         changed = ", ".join(
-            f"{k} is {before.get(k)!r} there, {wanted.get(k)!r} here"
+            f"{k:.40} is {before.get(k)!r:.80} there, {wanted.get(k)!r:.80} here"
             for k in sorted(wanted.keys() | before.keys())
             if before.get(k) != wanted.get(k)
         )

@@ -69,9 +69,25 @@ def record_scenes(config: RecordBankConfig) -> None:
     if missing:
         seconds = time.perf_counter() - start
         print(f"{len(missing)} scenes in {seconds:.0f} s, {seconds / len(missing):.2f} s each")
-    parts = [read_arrays(config.part_path(i)) for i in range(config.scenes)]
-    write_bank(config.out, concatenate(make_header(config), parts))
+    write_bank(config.out, concatenate(make_header(config), _read_parts(config)))
     shutil.rmtree(config.parts)
+
+
+def _read_parts(config: RecordBankConfig) -> list[dict[str, np.ndarray]]:
+    """Reads the recorded scenes, which must have the same arrays."""
+    paths = [config.part_path(i) for i in range(config.scenes)]
+    try:
+        parts = [read_arrays(path) for path in paths]
+    except InputError as error:
+        raise InputError(f"{error}; delete it, then run the same command again") from error
+    shapes = [{key: a.shape[1:] for key, a in part.items()} for part in parts]
+    for path, shape in zip(paths, shapes, strict=True):
+        if shape != shapes[0]:
+            raise InputError(
+                f"{path} has other arrays than {paths[0].name}: delete {config.parts}, then run "
+                "the same command again"
+            )
+    return parts
 
 
 def describe(path: Path, bank: ViewBank) -> None:

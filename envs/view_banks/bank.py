@@ -10,7 +10,6 @@ import hashlib
 import io
 import json
 import os
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -18,9 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from ...core.array_files import load_arrays
 from ...core.errors import InputError
 from ...core.files import write_atomically
 from ...core.results import commit, versions
+from ...core.validation import is_number
 from ...pose_estimator.types import PoseEstimate
 from ..observation import Observation
 
@@ -188,9 +189,19 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> Non
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """Reads a file of :func:`write_arrays`."""
-    with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+    """Reads a file of :func:`write_arrays`.
+
+    Raises:
+        OSError: if it cannot be opened.
+        InputError: if it is not such a file, or damaged.
+    """
+    try:
+        arrays = load_arrays(path)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+    if not isinstance(arrays, dict):
+        raise InputError(f"{path} holds one array, not several by name")
+    return arrays
 
 
 def read_bank(path: str | os.PathLike[str]) -> ViewBank:
@@ -209,19 +220,44 @@ def read_bank(path: str | os.PathLike[str]) -> ViewBank:
     try:
         arrays = read_arrays(source)
         content = json.loads(bytes(arrays.pop("header")))
-    except (zipfile.BadZipFile, OSError, KeyError, ValueError, EOFError) as error:
+    except (KeyError, RecursionError, TypeError, ValueError) as error:
         raise InputError(f"{source} is not a valid view bank: {error}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         found = content.get("format") if isinstance(content, dict) else content
-        raise InputError(f"view bank {source} must have the format {FORMAT!r}, got {found!r}")
+        raise InputError(f"view bank {source} must have the format {FORMAT!r}, got {found!r:.80}")
     try:
         header = BankHeader(**{k: _tuples(v) for k, v in content.items()})
         bank = _from_arrays(header, arrays)
-    except (TypeError, KeyError) as error:
+        _check_header(bank)
+    except (IndexError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"view bank {source} is corrupted: {error}") from error
     if _digest(arrays) != header.digest:
         raise InputError(f"view bank {source} is corrupted: its checksum does not match")
     return bank
+
+
+def _check_header(bank: ViewBank) -> None:
+    """Raises TypeError or ValueError where the header, which has no checksum, is not valid."""
+    header = bank.header
+    kinds: dict[str, type] = {"settings": dict, "seed": int}
+    kinds |= dict.fromkeys(("source", "scene", "estimator", "digest"), str)
+    kinds |= dict.fromkeys(("object_names", "diameters", "candidate_views"), tuple)
+    for name, kind in kinds.items():
+        value = getattr(header, name)
+        if not isinstance(value, kind) or isinstance(value, bool):
+            raise TypeError(f"{name} is {value!r:.80}")
+    if not all(isinstance(name, str) for name in header.object_names):
+        raise TypeError(f"object_names are {header.object_names!r:.80}")
+    numbers = [*header.diameters, *(angle for view in header.candidate_views for angle in view)]
+    if not all(is_number(number) and abs(number) < 1e6 for number in numbers):
+        raise TypeError("diameters or candidate_views are not numbers")
+    objects, slots = len(header.object_names), np.shape(header.candidate_views)
+    if len(header.diameters) != objects or not all(d > 0 for d in header.diameters):
+        raise ValueError(f"diameters of {objects} objects are {header.diameters!r:.80}")
+    if slots != (bank.slots, 2):
+        raise ValueError(f"candidate_views of {bank.slots} slots are of shape {slots}")
+    if len(bank) and not 0 <= bank.object_index.min() <= bank.object_index.max() < objects:
+        raise ValueError(f"object_index is not below {objects}")
 
 
 def _from_arrays(header: BankHeader, arrays: Mapping[str, np.ndarray]) -> ViewBank:

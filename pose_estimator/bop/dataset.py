@@ -16,7 +16,7 @@ from ...core.geometry import check_depth, check_intrinsics
 from ...core.images import read_image
 from ...core.images import read_mask as read_mask_file
 from .boxes import Box
-from .fields import MM, read_json, rigid
+from .fields import MAX_VISIBLE, MM, Place, is_id, read_json, refuse, rigid
 from .gt_info import measure_masks
 from .layouts import holds_shards
 from .pairs import BopPair as BopPair
@@ -108,6 +108,7 @@ class BopDataset:
             )
         scene = read_scene(self.root / self.split / f"{scene_id:06d}", scene_id)
         assert scene is not None  # read_scene raises where it has no scene
+        _check_numbers(scene)
         annotations = _annotations(scene)
         path = scene.camera_path
         known = ~np.isnan(scene.T_cam_world[:, 0, 0])
@@ -144,7 +145,7 @@ def read_dataset(root: str | Path, split: str = "test") -> BopDataset:
         )
         hint = f"; available with --split: {', '.join(dict.fromkeys(others))}" if others else ""
         raise InputError(f"dataset has no split {split!r}: {folder} is not a folder{hint}")
-    scene_ids = sorted(int(p.name) for p in folder.iterdir() if p.name.isdigit() and p.is_dir())
+    scene_ids = sorted(int(p.name) for p in folder.iterdir() if is_id(p.name) and p.is_dir())
     if not scene_ids and holds_shards(folder):
         raise InputError(
             f"{folder} is in BOP's webdataset format (*.tar); download the scenewise files "
@@ -209,6 +210,20 @@ def read_mask(annotation: BopAnnotation) -> np.ndarray:
     return read_mask_file(annotation.mask_visib_path)
 
 
+def _check_numbers(scene: Scene) -> None:
+    """Refuses numbers that the linter reports with their probable cause."""
+    for image_id, scale in zip(scene.image_id.tolist(), scene.depth_scale, strict=True):
+        if scale <= 0:
+            place = Place(scene.scene_id, image_id)
+            refuse(
+                scene.camera_path, "depth_scale", f"must be positive, got {scale:g}", place=place
+            )
+    visible = scene.annotations.visibility
+    for row in np.flatnonzero((visible < 0) | (visible > MAX_VISIBLE)).tolist():
+        problem = f"must be 0 to 1, got {visible[row]:g}"
+        refuse(scene.info_path, "visib_fract", problem, place=scene.place(row))
+
+
 def _annotations(scene: Scene) -> dict[int, list[BopAnnotation]]:
     """Returns image id -> its annotations."""
     rows = scene.annotations if scene.annotations.has_info else measure_masks(scene)
@@ -222,7 +237,7 @@ def _annotations(scene: Scene) -> dict[int, list[BopAnnotation]]:
             BopAnnotation(
                 obj_id=int(rows.obj_id[row]),
                 T_cam_obj=T_cam_obj[row],
-                visibility=float(rows.visibility[row]),
+                visibility=min(float(rows.visibility[row]), 1.0),
                 bbox_visib=tuple(rows.bbox_visib[row].astype(int).tolist()),
                 bbox_obj=tuple(rows.bbox_obj[row].astype(int).tolist()),
                 px_count_visib=int(rows.px_count_visib[row]),

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from ...core.errors import InputError
-from .fields import MM, read_json
+from ...core.validation import is_number
+from .fields import MAX_VALUE, MM, is_id, read_json
 
 
 def stored_depth_unit(path: Path) -> float | None:
@@ -18,10 +19,10 @@ def stored_depth_unit(path: Path) -> float | None:
     """
     folder = path.resolve().parent
     camera = folder.parent / f"scene_camera{folder.name.removeprefix('depth')}.json"
-    if not (folder.name.startswith("depth") and path.stem.isdigit() and camera.is_file()):
+    if not (folder.name.startswith("depth") and is_id(path.stem) and camera.is_file()):
         return None
     entry = read_json(camera, dict).get(str(int(path.stem)))
     scale = entry.get("depth_scale", 1.0) if isinstance(entry, dict) else 1.0
-    if not isinstance(scale, int | float) or not 0 < scale < float("inf"):
-        raise InputError(f"{camera}: depth_scale must be positive, got {scale!r}")
+    if not is_number(scale) or not 0 < scale < MAX_VALUE:
+        raise InputError(f"{camera}: depth_scale must be positive, got {scale!r:.80}")
     return scale / MM

@@ -25,6 +25,9 @@ MAX_VALUE = 1e9
 ROTATION_TOLERANCE = 5e-2
 """Largest deviation from orthonormal of a rotation on disk; it is replaced by the nearest one."""
 
+MAX_VISIBLE = 1.001
+"""Largest visible fraction on disk: that of a whole object is a quotient, and may be rounded."""
+
 REPAIR = "write or download the file again"
 
 Report = Callable[..., None]
@@ -110,6 +113,29 @@ def read_json(path: Path, kind: type | tuple[type, ...], report: Report = refuse
     return content
 
 
+def is_id(text: str) -> bool:
+    """Whether a key or a name of a file is an id: up to nine of the digits 0 to 9."""
+    return text.isascii() and text.isdigit() and len(text) < len(str(int(MAX_VALUE)))
+
+
+def read_ids(
+    entries: Sequence[Any],
+    name: str,
+    path: Path,
+    places: Sequence[Place],
+    report: Report = refuse,
+) -> np.ndarray:
+    """Returns the field ``name`` of all entries, integers >= 0, as float64 (N,); NaN if invalid."""
+    ids = read_numbers(entries, name, 1, path, places, report)[:, 0]
+    for row in np.flatnonzero((ids < 0) | (ids % 1 > 0)).tolist():
+        report(
+            path, name, "must be an integer >= 0", place=places[row], detail=f"{ids[row]:g}",
+            remedy="write the id of a scene, an image or an object",
+        )  # fmt: skip
+        ids[row] = np.nan
+    return ids
+
+
 def read_numbers(
     entries: Sequence[Any],
     name: str,
@@ -126,7 +152,7 @@ def read_numbers(
         values = np.array([e[name] for e in entries], dtype=np.float64).reshape(len(entries), size)
         if (np.abs(values) < max_value).all():
             return values
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, OverflowError, TypeError, ValueError):
         pass
     values = np.full((len(entries), size), np.nan)
     for row, (entry, place) in enumerate(zip(entries, places, strict=True)):
@@ -137,6 +163,8 @@ def read_numbers(
         try:
             given = [] if entry[name] is None else entry[name]
             numbers = np.array(given, dtype=np.float64).ravel()
+        except OverflowError:
+            numbers = np.full(size, np.inf)
         except (TypeError, ValueError):
             numbers = np.empty(0)
         if numbers.size != size:
@@ -184,11 +212,14 @@ def rigid(T: np.ndarray, name: Callable[[int], str] = str) -> np.ndarray:
     Recorded datasets store rounded rotations (some of LM-O's are off by 1 percent).
 
     Raises:
-        InputError: if an error exceeds ``ROTATION_TOLERANCE``; ``name(i)`` names the transform.
+        InputError: if an error, or that of a last row, exceeds ``ROTATION_TOLERANCE``; ``name(i)``
+            names the transform.
     """
     errors = rotation_errors(T[:, :3, :3])
-    for i in np.flatnonzero(errors > ROTATION_TOLERANCE).tolist():
+    last = np.abs(T[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1, initial=0.0)
+    for i in np.flatnonzero(np.maximum(errors, last) > ROTATION_TOLERANCE).tolist():
         check_rigid(T[i], name(i), ROTATION_TOLERANCE)
+    T[:, 3] = [0.0, 0.0, 0.0, 1.0]
     rounded = errors > 1e-12
     U, _, Vt = np.linalg.svd(T[rounded, :3, :3])
     T[rounded, :3, :3] = U @ Vt

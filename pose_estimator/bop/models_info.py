@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .fields import MM, Place, Report, read_json, read_numbers, refuse, rigid
+from .fields import MM, Place, Report, is_id, read_json, read_numbers, refuse, rigid
 from .symmetries import MIN_AXIS_LENGTH, all_symmetries, axes_meet
 
 
@@ -62,7 +62,7 @@ def read_entries(path: Path, report: Report = refuse) -> dict[int, BopModelInfo]
     """
     infos = {}
     for key, entry in (read_json(path, dict, report) or {}).items():
-        if not key.isdigit() or not isinstance(entry, dict):
+        if not is_id(key) or not isinstance(entry, dict):
             report(
                 path, "keys", "an entry must be an object's id and its description",
                 detail=f"key {key[:40]!r}", remedy="rename or remove the entry",
@@ -89,18 +89,32 @@ def _read_entry(obj_id: int, entry: Mapping[str, Any], path: Path, report: Repor
         )  # fmt: skip
         return []
 
+    name = entry.get("name")
+    if not isinstance(name, str | None):
+        report(
+            path, "name", "must be text", detail=f"object {obj_id}: {str(name)[:60]}",
+            remedy="write the object's name, or remove the field",
+        )  # fmt: skip
+        name = None
     rows = [{"symmetries_discrete": row} for row in listed("symmetries_discrete")]
     places = [Place(entry=f"object {obj_id}, symmetry {i}") for i in range(len(rows))]
     discrete = read_numbers(rows, "symmetries_discrete", 16, path, places, report)
     discrete = discrete.reshape(-1, 4, 4)
     discrete[:, :3, 3] /= MM
     axes = _read_axes(listed("symmetries_continuous"), obj_id, path, report)
+    diameter, extents = float(length("diameter")[0]), length("size_x", "size_y", "size_z")
+    for field, wrong in (("diameter", diameter <= 0), ("size_x ... size_z", (extents < 0).any())):
+        if wrong:
+            report(
+                path, field, "must be positive", place=place,
+                remedy="write the lengths of the mesh in millimeters",
+            )  # fmt: skip
     return BopModelInfo(
         obj_id=obj_id,
-        name=entry.get("name"),
-        diameter=float(length("diameter")[0]),
+        name=name,
+        diameter=diameter,
         minimum=length("min_x", "min_y", "min_z"),
-        extents=length("size_x", "size_y", "size_z"),
+        extents=extents,
         discrete=discrete,
         axes=axes,
         mesh_path=path.parent / f"obj_{obj_id:06d}.ply",

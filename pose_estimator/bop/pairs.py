@@ -8,7 +8,19 @@ from typing import Any
 import numpy as np
 
 from ...core.geometry import invert
-from .fields import MM, Place, Report, read_json, read_numbers, read_transforms, refuse, rigid
+from .fields import (
+    MAX_VISIBLE,
+    MM,
+    Place,
+    Report,
+    is_id,
+    read_ids,
+    read_json,
+    read_numbers,
+    read_transforms,
+    refuse,
+    rigid,
+)
 
 PAIRS_FILE = "two_view_pairs.json"
 """The list of pairs in a dataset's folder."""
@@ -114,18 +126,22 @@ def read_entries(path: Path, report: Report = refuse) -> dict[int, BopPair]:
         T = read_transforms(entries, names, path, places, report)
     ids = np.column_stack(
         [
-            read_numbers(entries, name, 1, path, places, report)
+            read_ids(entries, name, path, places, report)
             for name in ("scene_id", "ref_image_id", "second_image_id")
         ]
     )
+    angles = [
+        _baselines(entry.get("baselines_deg"), path, place, report)
+        for entry, place in zip(entries, places, strict=True)
+    ]
     return {
         number: BopPair(
             scene_id=int(ids[number, 0]),
             ref_image_id=int(ids[number, 1]),
             second_image_id=int(ids[number, 2]),
             T_second_ref=T[number],
-            baselines_deg=_baselines(entry.get("baselines_deg"), path, places[number], report),
-            target_obj_id=entry.get("target_obj_id"),
+            baselines_deg=angles[number],
+            target_obj_id=_target(entry, angles[number], path, places[number], report),
             gap=_gap(entry.get("gap"), path, places[number], report),
             visib_fracts=_visib_fracts(entry, path, places[number], report),
         )
@@ -148,6 +164,20 @@ def _listed(scene: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any
     return renamed
 
 
+def _target(
+    entry: Mapping[str, Any], angles: Mapping[int, float], path: Path, place: Place, report: Report
+) -> int | None:
+    target = entry.get("target_obj_id")
+    if target is None or (type(target) is int and target in angles):
+        return target
+    report(
+        path, "target_obj_id", "must be one of baselines_deg", place=place,
+        detail=f"{repr(target)[:60]}, of {', '.join(map(str, angles))}",
+        remedy="write the id of the object that the pair was made for, or omit the field",
+    )  # fmt: skip
+    return None
+
+
 def _gap(gap: Any, path: Path, place: Place, report: Report) -> int | None:
     if gap is None or (type(gap) is int and gap >= 1):
         return gap
@@ -161,7 +191,7 @@ def _gap(gap: Any, path: Path, place: Place, report: Report) -> int | None:
 def _baselines(given: Any, path: Path, place: Place, report: Report) -> dict[int, float]:
     entries = given if isinstance(given, dict) else {}
     good = all(
-        key.isdigit() and isinstance(v, int | float) and 0 <= v <= 180 for key, v in entries.items()
+        is_id(key) and isinstance(v, int | float) and 0 <= v <= 180 for key, v in entries.items()
     )
     if not entries or not good:
         report(
@@ -169,7 +199,7 @@ def _baselines(given: Any, path: Path, place: Place, report: Report) -> dict[int
             detail=f"{place}: {str(given)[:60]}",
             remedy="write the angle in degrees between the two views of each static object",
         )  # fmt: skip
-        return {int(key): np.nan for key in entries if key.isdigit()}
+        return {int(key): np.nan for key in entries if is_id(key)}
     return {int(key): float(value) for key, value in entries.items()}
 
 
@@ -177,15 +207,19 @@ def _visib_fracts(
     entry: Mapping[str, Any], path: Path, place: Place, report: Report
 ) -> dict[int, tuple[float, float]]:
     given = entry.get("visib_fracts", {})
-    if not isinstance(given, dict) or not all(key.isdigit() for key in given):
+    if not isinstance(given, dict) or not all(is_id(key) for key in given):
         report(
             path, "visib_fracts", "must map objects to visible fractions",
             detail=f"{place}: {str(given)[:60]}", remedy="see bop.writer.write_pairs",
         )  # fmt: skip
         return {}
     places = [Place(entry=f"{place}, visible fractions")]
-    return {
-        int(key): (float(both[0]), float(both[1]))
-        for key in given
-        for both in read_numbers([given], key, 2, path, places, report)
-    }
+    found = {int(key): read_numbers([given], key, 2, path, places, report)[0] for key in given}
+    for obj_id, both in found.items():
+        if ((both < 0) | (both > MAX_VISIBLE)).any():
+            report(
+                path, "visib_fracts", "must be 0 to 1", place=place,
+                detail=f"object {obj_id}: {' '.join(f'{f:g}' for f in both)}",
+                remedy="write the visible fractions in the reference and the second view",
+            )  # fmt: skip
+    return {i: (min(float(a), 1.0), min(float(b), 1.0)) for i, (a, b) in found.items()}

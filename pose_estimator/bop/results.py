@@ -18,7 +18,7 @@ from ...core.errors import InputError
 from ...core.files import write_atomically
 from ...core.geometry import check_rigid
 from ...core.text_files import read_text
-from .fields import MM, Place, read_numbers, read_transforms, rigid
+from .fields import MM, Place, is_id, read_numbers, read_transforms, rigid
 
 HEADER = "scene_id,im_id,obj_id,score,R,t,time"
 _COLUMNS = HEADER.split(",")
@@ -155,10 +155,9 @@ def _numbers(values: np.ndarray) -> str:
 
 
 def _id(value: str, known: Collection[int] | None, where: str, what: str) -> int:
-    try:
-        number = int(value)
-    except ValueError as error:
-        raise InputError(f"{where}: expected an integer, got {value!r}") from error
+    if not is_id(value.strip()):
+        raise InputError(f"{where}: expected an integer >= 0, got {value!r:.80}")
+    number = int(value)
     if known is not None and number not in known:
         some = ", ".join(map(str, sorted(known)[:8])) + (", ..." if len(known) > 8 else "")
         raise InputError(f"{where} {number} is not in the dataset, whose {what} has {some}")

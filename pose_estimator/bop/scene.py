@@ -11,7 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from .fields import REPAIR, Place, Report, read_json, read_numbers, read_transforms, refuse
+from .fields import (
+    REPAIR,
+    Place,
+    Report,
+    is_id,
+    read_ids,
+    read_json,
+    read_numbers,
+    read_transforms,
+    refuse,
+)
 from .layouts import other_layout
 
 UNKNOWN = -(2**31)
@@ -199,7 +209,7 @@ def _read_annotations(
         return values
 
     _check_masks(folder / "mask_visib", path, places, report)
-    obj_id = read_numbers(gt, "obj_id", 1, path, places, report)[:, 0]
+    obj_id = read_ids(gt, "obj_id", path, places, report)
     return SceneAnnotations(
         image_id=np.array([place.image for place in places], dtype=int),
         index=np.array([place.annotation for place in places], dtype=int),
@@ -235,7 +245,7 @@ def _image_keys(
     """Returns image id -> key; reports keys that are not integers and duplicated ids."""
     keys: dict[int, str] = {}
     for key in content:
-        if not key.isdigit():
+        if not is_id(key):
             report(
                 path, "keys", "a key must be an image's id", place=Place(scene_id),
                 detail=f"key {key[:40]!r}", remedy="rename or remove the entry",
@@ -257,7 +267,5 @@ def _images_by_id(folder: Path) -> dict[int, Path]:
         return {}
     suffixes = (".png", ".jpg", ".jpeg", ".tif")
     return {
-        int(p.stem): p
-        for p in folder.iterdir()
-        if p.suffix.lower() in suffixes and p.stem.isdigit()
+        int(p.stem): p for p in folder.iterdir() if p.suffix.lower() in suffixes and is_id(p.stem)
     }

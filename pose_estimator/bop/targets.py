@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from ...core.errors import InputError
 from .dataset import BopDataset
-from .fields import Place, read_json, read_numbers
+from .fields import Place, read_ids, read_json
 from .writer import write_json
 
 TARGETS_FILE = "test_targets_bop19.json"
@@ -58,9 +58,7 @@ def read_targets(dataset: BopDataset) -> tuple[BopTarget, ...]:
         return tuple(_visible_targets(dataset))
     entries = read_json(path, list)
     places = [Place(entry=f"target {i}") for i in range(len(entries))]
-    columns = [
-        read_numbers(entries, name, 1, path, places)[:, 0].astype(int).tolist() for name in _FIELDS
-    ]
+    columns = [read_ids(entries, name, path, places).astype(int).tolist() for name in _FIELDS]
     targets = tuple(BopTarget(*numbers) for numbers in zip(*columns, strict=True))
     for i, target in enumerate(targets):
         if target.instances < 1:

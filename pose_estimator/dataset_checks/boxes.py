@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..bop.boxes import bounding_box
+from ..bop.fields import MAX_VISIBLE
 from ..bop.scene import RECOMPUTE_INFO, Scene
 from .findings import Findings, Severity
 
@@ -32,7 +33,7 @@ def check_info(scene: Scene, size: tuple[int, int] | None, findings: Findings) -
 
     with np.errstate(invalid="ignore"):
         fraction = rows.visibility
-        off = (fraction < 0) | (fraction > 1.001)
+        off = (fraction < 0) | (fraction > MAX_VISIBLE)
         percent = off & (fraction > 1) & (fraction <= 100)
         complain(
             percent, "error", "visib_fract", "must be 0 to 1", remedy="divide by 100",

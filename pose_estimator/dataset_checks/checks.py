@@ -9,6 +9,7 @@ from tqdm import tqdm
 
 from ...core.images import read_image_size
 from ..bop.dataset import read_dataset
+from ..bop.fields import is_id
 from ..bop.pairs import PAIRS_FILE, BopPair, read_entries
 from ..bop.scene import Scene, read_scene
 from .boxes import check_info
@@ -79,7 +80,7 @@ def _scene_folders(
     names = [config.split] if config.split is not None else sorted(
         folder.name
         for folder in root.iterdir()
-        if folder.is_dir() and any(p.is_dir() and p.name.isdigit() for p in folder.iterdir())
+        if folder.is_dir() and any(p.is_dir() and is_id(p.name) for p in folder.iterdir())
     )  # fmt: skip
     found = {}
     for name in names:
@@ -129,11 +130,11 @@ def _check_scenes(
 def _split_of_pairs(path: Path, pairs: Mapping[int, BopPair], findings: Findings) -> Path | None:
     """Returns the split whose scenes the pairs name; `test` where there are several."""
     splits = sorted(
-        {p.parent for p in path.parent.glob("*/*") if p.is_dir() and p.name.isdigit()},
+        {p.parent for p in path.parent.glob("*/*") if p.is_dir() and is_id(p.name)},
         key=lambda split: (split.name != "test", split.name),
     )
     scenes = {pair.scene_id for pair in pairs.values()}
-    there = {split: {int(p.name) for p in split.iterdir() if p.name.isdigit()} for split in splits}
+    there = {split: {int(p.name) for p in split.iterdir() if is_id(p.name)} for split in splits}
     if not splits or not scenes:
         return None
     best = min(splits, key=lambda split: len(scenes - there[split]))

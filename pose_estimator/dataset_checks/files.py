@@ -1,6 +1,6 @@
 """Checks for unlisted and duplicated images and missing depth maps of a scene."""
 
-from ..bop.fields import Place
+from ..bop.fields import Place, is_id
 from ..bop.scene import RESTORE, Scene, image_folder
 from .findings import Findings
 
@@ -24,7 +24,7 @@ def check_files(scene: Scene, findings: Findings) -> None:
     folder = image_folder(scene.folder)
     seen: dict[int, str] = {}
     for path in sorted(folder.iterdir()) if folder.is_dir() else []:
-        if not path.stem.isdigit():
+        if not is_id(path.stem):
             continue
         number = int(path.stem)
         if number in seen:

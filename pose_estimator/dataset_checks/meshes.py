@@ -9,7 +9,7 @@ import trimesh
 from ...assets import surface
 from ...assets.mesh_files import Part, open_ply, read_parts, unpainted
 from ...core.errors import InputError
-from ..bop.fields import MM
+from ..bop.fields import MM, is_id
 from ..bop.models_info import BopModelInfo, read_entries
 from .findings import Findings
 
@@ -97,7 +97,7 @@ def _read_folder(folder: Path, findings: Findings) -> dict[int, CheckedModel]:
         infos = read_entries(path, findings.error)
     for mesh in sorted(folder.glob("obj_*.ply")):
         number = mesh.stem.removeprefix("obj_")
-        if infos and number.isdigit() and int(number) not in infos:
+        if infos and is_id(number) and int(number) not in infos:
             findings.warning(
                 path, "keys", "a mesh is not described", detail=f"{folder.name}/{mesh.name}",
                 remedy="add its diameter, minimum and size to models_info.json",

@@ -17,6 +17,7 @@ from ...assets.storage import read_object, save_object
 from ...core.errors import InputError
 from ...core.files import write_atomically
 from ...core.results import commit, versions
+from ...core.text_files import read_text
 from ..methods import OPTIONAL_PARTS, PARTS
 from .container import NetworkConfig, PoseNetworks
 from .detector import DetectorConfig
@@ -29,6 +30,9 @@ STORAGE = (
     "channel; batch statistics: float32; all else, the encoders' first layers too: float16"
 )
 """The header's description of the number formats."""
+
+MAX_SIZE = 2048
+"""Of layers and images, in a header: a damaged one must not fill the memory."""
 
 SHIPPED = Path(assets.__file__).parent / "weights"
 """Folder of the weights that ship with the package."""
@@ -104,14 +108,14 @@ def read_header(path: str | Path) -> dict[str, Any]:
     if not path.is_file():
         raise FileNotFoundError(f"weights header {path} is missing (expected next to the weights)")
     try:
-        header = json.loads(path.read_text())
+        header = json.loads(read_text(path))
         if header["format"] != FORMAT:
             raise InputError(
                 f"it has format {header['format']} and this version reads {FORMAT}; train "
                 "again with train-estimator, or use the version that made it"
             )
         return header
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, RecursionError, TypeError) as error:
         raise InputError(f"weights header {path} cannot be read: {error}") from error
 
 
@@ -172,6 +176,7 @@ def read_networks(path: str | Path) -> PoseNetworks:
             features=FeatureConfig(**shapes["features"]),
             preset=shapes["preset"],
         )
+        _check_shapes(config)
         objects = {
             name: read_object(path.parent / entry["folder"])
             if "folder" in entry
@@ -180,16 +185,17 @@ def read_networks(path: str | Path) -> PoseNetworks:
         }
         networks = PoseNetworks(objects, config)
         networks.trained = frozenset(header["trained"])
-    except (AttributeError, KeyError, RuntimeError, TypeError) as error:
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise InputError(f"the header of {path} does not describe networks: {error}") from error
-    unknown = sorted(networks.trained.difference(PARTS))
+    unknown = sorted(map(str, networks.trained.difference(PARTS)))
     if unknown:
         raise InputError(
-            f"the header says that the parts {unknown} are trained; there are {', '.join(PARTS)}"
+            f"the header of {path} says that the parts {unknown} are trained; there are "
+            f"{', '.join(PARTS)}"
         )
     try:
         tensors = unpack(_read_base(header) | load_file(path))
-    except (SafetensorError, OSError, ValueError) as error:
+    except (KeyError, OSError, SafetensorError, TypeError, ValueError) as error:
         raise InputError(f"weights file {path} is damaged: {error}") from error
     if not all(torch.isfinite(tensor).all() for tensor in tensors.values()):
         raise InputError(f"weights file {path} is damaged: it holds NaN or infinite numbers")
@@ -202,6 +208,20 @@ def read_networks(path: str | Path) -> PoseNetworks:
         )
     networks.load_state_dict(tensors, strict=False)
     return networks.eval()
+
+
+def _check_shapes(config: NetworkConfig) -> None:
+    """Raises ValueError where networks cannot be of these shapes."""
+    detector, features = config.detector, config.features
+    sizes = (
+        detector.height, detector.width, detector.channels,
+        features.crop, features.width, features.volume_channels,
+    )  # fmt: skip
+    fits = all(type(size) is int and 0 < size <= MAX_SIZE for size in sizes)
+    fits &= (detector.stride, features.stride) == (DetectorConfig().stride, FeatureConfig().stride)
+    fits &= features.crop % 32 == 0 and isinstance(features.own_decoders, bool)
+    if not fits or not all(0.1 <= part.roi_scale <= 10 for part in (detector, features)):
+        raise ValueError(f"no networks are of the shapes {config!s:.300}")
 
 
 def _read_base(header: dict[str, Any]) -> dict[str, Tensor]:

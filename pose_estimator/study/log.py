@@ -8,6 +8,8 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files import naming, write_atomically
+from ...core.text_files import read_text
+from ...core.validation import is_number
 
 
 @dataclass(frozen=True)
@@ -84,21 +86,34 @@ class OutcomeLog:
 
     def _read(self) -> None:
         key = json.loads(json.dumps(self.key))
-        # An incomplete last line has no line break.
-        lines = self.path.read_text().split("\n")[:-1]
         advice = "choose another --out, or remove the file to measure again"
         try:
-            head, *entries = map(json.loads, lines)
-            logged, self.commits = head["key"], head["commits"]
-            self.outcomes = [
-                PairOutcome(**{**entry, "distances": tuple(entry["distances"])})
-                for entry in entries
-            ]
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{self.path} is not a file of outcomes; {advice}") from error
+            # An incomplete last line has no line break.
+            head, *entries = map(json.loads, read_text(self.path).split("\n")[:-1])
+            logged, self.commits = dict(head["key"]), list(head["commits"])
+            if not all(isinstance(commit, str) for commit in self.commits):
+                raise TypeError("commits must be text")
+            self.outcomes = [_outcome(entry) for entry in entries]
+        except (KeyError, RecursionError, TypeError, ValueError) as error:
+            problem = f"{self.path} is not a file of outcomes ({error})"
+            raise InputError(f"{problem}; {advice}") from error
         if logged != key:
-            names = [name for name in {**key, **logged} if logged.get(name) != key.get(name)]
+            names = [n[:40] for n in {**key, **logged} if logged.get(n) != key.get(n)]
             raise InputError(f"{self.path} was measured with another {', '.join(names)}; {advice}")
+
+
+def _outcome(entry: Any) -> PairOutcome:
+    """Returns a line's outcome; raises TypeError or ValueError where a value is not one."""
+    outcome = PairOutcome(**{**entry, "distances": tuple(entry["distances"])})
+    numbers = {**entry, **{f"distance {i}": d for i, d in enumerate(outcome.distances)}}
+    numbers |= {f"solver_errors {name}": e for name, e in dict(outcome.solver_errors).items()}
+    for name in numbers.keys() - {"object_name", "distances", "solver_errors"}:
+        integer, value = name.endswith("_id") or name == "gap", numbers[name]
+        if not is_number(value) or value < 0 or (integer and type(value) is not int):
+            raise ValueError(f"{name} is {value!r:.40}")
+    if not isinstance(outcome.object_name, str) or not outcome.distances:
+        raise ValueError(f"object_name is {outcome.object_name!r:.40}")
+    return outcome
 
 
 def _line(outcome: PairOutcome) -> str:

@@ -6,7 +6,6 @@ same command resumes a run that was stopped.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -20,6 +19,7 @@ from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
 from ...core.geometry import View
 from ..bop.dataset import BopDataset, BopPair, read_dataset, read_pairs, read_rgb
+from ..bop.manifest import read_manifest
 from ..bop.pairs import PAIRS_FILE
 from ..evaluation.evaluate_pairs import (
     AnnotatedPair,
@@ -56,9 +56,7 @@ class StudySet:
         pairs = read_pairs(root)
         if any(pair.gap is None for pair in pairs):
             raise InputError(f"{root / PAIRS_FILE} has pairs without a gap")
-        manifest = root / "manifest.json"
-        description = json.loads(manifest.read_text()) if manifest.is_file() else {}
-        return cls(name, read_dataset(root, split), pairs, description)
+        return cls(name, read_dataset(root, split), pairs, read_manifest(root) or {})
 
 
 class Measurement(NamedTuple):

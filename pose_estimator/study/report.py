@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, UndefinedError
 
 from ...core.errors import InputError
 from ...core.files import write_atomically
@@ -30,10 +30,18 @@ def write_report(folder: Path) -> Path:
     if not results.is_file():
         raise InputError(f"{folder} holds no results.json; run compare without --report-only first")
     document = read_results(results)
-    charts = draw_charts(document["records"], folder / "figures")
     images = [p for n in FIGURES for p in sorted((folder / "figures").glob(f"{n}_*.png"))]
+    try:
+        charts = draw_charts(document["records"], folder / "figures")
+        page = report_page(document, charts, images)
+    except (OSError, InputError):
+        raise
+    except (AttributeError, LookupError, TypeError, ValueError, UndefinedError) as error:
+        raise InputError(
+            f"{results} is not of a study, or damaged ({error!r:.200}): run compare again"
+        ) from error
     target = folder / "report.html"
-    write_atomically(target, report_page(document, charts, images).encode())
+    write_atomically(target, page.encode())
     return target
 
 

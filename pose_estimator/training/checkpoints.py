@@ -1,9 +1,10 @@
 """Checkpoints of a training stage: one safetensors file, replaced atomically."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
@@ -33,9 +34,12 @@ def load_checkpoint(module: nn.Module, path: Path) -> dict[str, Tensor]:
     """Loads a checkpoint into a module and returns its additional tensors.
 
     Raises:
-        InputError: if its parameters have other names or shapes.
+        InputError: if it is damaged, or its parameters have other names or shapes.
     """
-    tensors = load_file(path)
+    with _naming(path):
+        tensors = load_file(path)
+        if not all(tensor.isfinite().all() for tensor in tensors.values()):
+            raise ValueError("it holds NaN or infinite numbers")
     names = [name for name in tensors if name.startswith(_MODEL)]
     model = {name.removeprefix(_MODEL): tensors.pop(name) for name in names}
     try:
@@ -47,7 +51,25 @@ def load_checkpoint(module: nn.Module, path: Path) -> dict[str, Tensor]:
     return tensors
 
 
-def read_counters(path: Path) -> dict[str, int]:
-    """Reads the counters of a checkpoint."""
-    with safe_open(path, framework="pt") as file:
-        return {name: int(number) for name, number in file.metadata().items()}
+def read_counters(path: Path, *names: str) -> dict[str, int]:
+    """Reads the counters of a checkpoint, ``step`` and ``names`` among them.
+
+    Raises:
+        InputError: if it is damaged, or one of these is missing or no number >= 0.
+    """
+    with _naming(path), safe_open(path, framework="pt") as file:
+        found = {name: int(number) for name, number in (file.metadata() or {}).items()}
+        if min(found.get(name, -1) for name in ("step", *names)) < 0:
+            raise ValueError(f"its counters are {found}")
+        return found
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Names the file, and what to do, where it is damaged."""
+    try:
+        yield
+    except (SafetensorError, ValueError) as error:
+        raise InputError(
+            f"checkpoint {path} is damaged ({error}): delete it to train this stage again"
+        ) from error

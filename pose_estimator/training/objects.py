@@ -1,6 +1,5 @@
 """The objects of a training: those that are requested, else those of the dataset."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 from ... import assets
 from ...assets.object_model import ObjectModel
 from ...core.errors import InputError
+from ..bop.manifest import read_manifest
 from ..bop.matching import match_objects
 from ..bop.models_info import BopModelInfo, read_models_info
 from ..bop.objects import load_objects
@@ -72,10 +72,8 @@ def dataset_models(data: Path) -> list[str] | None:
 
 def _generated_objects(data: Path) -> list[str] | None:
     """Names of the objects that `generate` made a dataset for; None if it was not generated."""
-    manifest = data / "manifest.json"
-    if not manifest.is_file():
-        return None
-    return json.loads(manifest.read_text()).get("settings", {}).get("objects")
+    manifest = read_manifest(data)
+    return None if manifest is None else manifest.get("settings", {}).get("objects")
 
 
 def _is_built_in(info: BopModelInfo) -> bool:

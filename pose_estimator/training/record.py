@@ -7,13 +7,21 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from warnings import warn
 
+from ...core.errors import InputWarning
 from ...core.files import naming
+from ...core.text_files import read_text
+from ...core.validation import is_number
+from ..bop.manifest import read_manifest
 from ..methods import PARTS
 from .config import TrainEstimatorConfig
 
 if TYPE_CHECKING:
     from ..networks.container import PoseNetworks
+
+_HELD_OUT = "held_out/"
+"""How the names of validation results begin."""
 
 
 class TrainingLog:
@@ -29,26 +37,46 @@ class TrainingLog:
 
     def __init__(self, path: Path, *, resume: bool = False):
         self._path = path
+        self._half_line = False
         self.held_out: dict[str, float] = {}
-        for line in path.read_text().splitlines() if resume and path.is_file() else ():
+        if resume and path.is_file():
+            self._read(read_text(path))
+
+    def _read(self, text: str) -> None:
+        """Reads entries; killed runs leave halves of lines, which are ignored."""
+        self._half_line = bool(text) and not text.endswith("\n")
+        ignored = []
+        for number, line in enumerate(text.split("\n"), start=1):
             try:
-                entry = json.loads(line)
-            except json.JSONDecodeError:
-                continue  # a killed run may leave half a line
-            self._remember(entry.pop("stage"), entry)
+                entry: dict[str, Any] = json.loads(line) if line else {"stage": ""}
+                stage = entry.pop("stage")
+                measured = {n: v for n, v in entry.items() if n.startswith(_HELD_OUT)}
+                if not isinstance(stage, str) or not all(map(is_number, measured.values())):
+                    raise TypeError("no stage, or no number")
+                self._remember(stage, measured)
+            except (AttributeError, KeyError, RecursionError, TypeError, ValueError):
+                ignored.append(number)
+        if ignored:
+            warn(
+                f"{self._path}: line {ignored[0]} is not an entry, as after a killed run; "
+                f"{len(ignored)} ignored",
+                InputWarning,
+                stacklevel=3,
+            )
 
     def __call__(self, stage: str, step: int, values: Mapping[str, float]) -> None:
         """Appends a line; values are named ``train/...`` or ``held_out/...``."""
         entry = {"stage": stage, "step": step, "time": round(time.time(), 1), **values}
+        start = "\n" if self._half_line else ""
         with naming(self._path), open(self._path, "a") as file:
-            file.write(json.dumps(entry) + "\n")
+            file.write(start + json.dumps(entry) + "\n")
+        self._half_line = False
         self._remember(stage, values)
 
     def _remember(self, stage: str, values: Mapping[str, float]) -> None:
         for name, value in values.items():
-            kind, _, metric = name.partition("/")
-            if kind == "held_out":
-                self.held_out[f"{stage}/{metric}"] = value
+            if name.startswith(_HELD_OUT):
+                self.held_out[f"{stage}/{name.removeprefix(_HELD_OUT)}"] = value
 
     def write_results(self, config: TrainEstimatorConfig) -> None:
         """Writes the validation results as a results file."""
@@ -106,9 +134,8 @@ def header(
 
 def describe_data(data: Path) -> Any:
     """Returns the dataset's name, and how it was generated where it has a manifest."""
-    manifest = Path(data) / "manifest.json"
-    if not manifest.is_file():
+    content = read_manifest(data)
+    if content is None:
         return {"dataset": Path(data).name}
-    content = json.loads(manifest.read_text())
     generated = {name: content[name] for name in ("settings", "scenes") if name in content}
     return {"dataset": Path(data).name, "generate": generated}

@@ -213,7 +213,7 @@ class _Run:
             for name, tensor in state.items()
             if name.startswith("mean.")
         }
-        counters = read_counters(self._path)
+        counters = read_counters(self._path, "averaged")
         self.step, self.cycles = counters["step"], counters["averaged"]
 
 

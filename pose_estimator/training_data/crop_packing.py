@@ -101,7 +101,7 @@ def _fingerprint(model: ObjectModel) -> dict[str, Any]:
 def _is_packed(folder: Path, header: dict[str, Any]) -> bool:
     try:
         return json.loads((folder / "header.json").read_text()) == header
-    except (OSError, ValueError):
+    except (OSError, RecursionError, ValueError):
         return False
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ...core.array_files import load_arrays
 from ...core.errors import InputError
 
 STORED_SIDE = 192
@@ -89,15 +90,50 @@ class _MappedFile(np.memmap):
 
 
 def open_pack(folder: Path, object_names: Sequence[str]) -> CropPack:
-    """Opens the files of a packed dataset."""
-    with np.load(folder / "index.npz") as index:
-        arrays = {name: index[name] for name in index.files}
-    return CropPack(
-        object_names=tuple(object_names),
-        crops=_MappedFile(folder / "crops.bin", np.uint8, "r"),
-        frames=_MappedFile(folder / "frames.bin", np.uint8, "r"),
-        **arrays,
-    )
+    """Opens the files of a packed dataset.
+
+    Raises:
+        InputError: if one of them is missing or damaged.
+    """
+    try:
+        pack = CropPack(
+            object_names=tuple(object_names),
+            crops=_MappedFile(folder / "crops.bin", np.uint8, "r"),
+            frames=_MappedFile(folder / "frames.bin", np.uint8, "r"),
+            **load_arrays(folder / "index.npz"),
+        )
+        _check_pack(pack)
+        return pack
+    except (OSError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{folder} is damaged ({error}): delete it, and it is made again"
+        ) from error
+
+
+def _check_pack(pack: CropPack) -> None:
+    """Raises ValueError where the index is not one of these files."""
+    targets, frames, T = len(pack.spans), len(pack.frame_spans), (4, 4)
+    shapes = {
+        "spans": (targets, 6), "frame_spans": (frames, 2), "object_index": (targets,),
+        "frame_index": (targets,), "scene_id": (frames,), "T_cam_obj": (targets, *T),
+        "visibility": (targets,), "to_stored": (targets, 3, 3), "K": (frames, 3, 3),
+        "T_cam_world": (frames, *T), "frame_to_image": (frames, 3, 3),
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        array = getattr(pack, name)
+        if array.shape != shape or array.dtype.kind not in "iuf":
+            raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not {shape}")
+    limits = {
+        "spans": len(pack.crops) + 1, "frame_spans": len(pack.frames) + 1,
+        "object_index": len(pack.object_names), "frame_index": frames,
+    }  # fmt: skip
+    for name, limit in limits.items():
+        array = getattr(pack, name)
+        if array.dtype.kind == "f" or array.min() < 0 or array.max() >= limit:
+            raise ValueError(f"{name} is not 0 to {limit - 1}")
+    for name in ("T_cam_obj", "visibility", "to_stored", "K", "frame_to_image"):
+        if not np.isfinite(getattr(pack, name)).all():
+            raise ValueError(f"{name} has NaN or infinite numbers")
 
 
 def encode_image(suffix: str, image: np.ndarray) -> bytes:
@@ -116,7 +152,8 @@ def _decode_rgb(data: np.ndarray) -> np.ndarray:
 
 
 def _decode(data: np.ndarray, flags: int) -> np.ndarray:
-    image = cv2.imdecode(data, flags)
+    image = cv2.imdecode(data, flags) if len(data) else None
     if image is None:
-        raise InputError("the packed crops are damaged: delete their folder to pack them again")
+        path = getattr(data, "filename", "the packed crops")
+        raise InputError(f"{path} is damaged: delete its folder, and it is made again")
     return image

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from helpers.boxes import box_model
 from two_view_pose.assets import mesh_cache, mesh_import
 from two_view_pose.assets.mesh_import import import_mesh
 from two_view_pose.assets.object_model import ObjectModel
@@ -85,6 +86,18 @@ def test_mesh_with_material_files_is_not_cached(tmp_path: Path, cache_home: Path
     (tmp_path / "egg.mtl").write_text("newmtl a\nKd 1 0 0\n")
     import_again(path)
     assert not entries(cache_home)
+
+
+def test_an_entry_of_an_unknown_compression_is_replaced(cache_home: Path) -> None:
+    """Zip files damaged there raise NotImplementedError."""
+    model = box_model("brick", 3, (0.12, 0.08, 0.06), symmetric=False)
+    mesh_cache.cached("key", lambda: model)
+    (entry,) = entries(cache_home)
+    valid = entry.read_bytes()
+    for start in (b"PK\x03\x04", b"PK\x01\x02"):
+        at = valid.index(start) + {b"PK\x03\x04": 8, b"PK\x01\x02": 10}[start]
+        entry.write_bytes(valid[:at] + b"\x63" + valid[at + 1 :])
+        assert mesh_cache.cached("key", lambda: model).name == "brick"
 
 
 @pytest.mark.slow

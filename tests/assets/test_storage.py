@@ -1,5 +1,6 @@
 """Files of objects."""
 
+import json
 from dataclasses import fields
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 import trimesh
 from two_view_pose import assets
 from two_view_pose.assets.storage import read_object, save_object
+from two_view_pose.core.errors import InputError
 from two_view_pose.pose_estimator.evaluation.metrics import add_or_add_s
 
 
@@ -86,3 +88,34 @@ def test_names_can_be_chosen(tmp_path: Path) -> None:
     strange = tmp_path / "a=b.ply"
     trimesh.creation.box((0.1, 0.2, 0.3)).export(strange)
     assert assets.load_object(str(strange)).name == "a=b"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("points", [[0.0, 0.0, float("nan")]]), ("keypoints", [[0.0, 0.0, 0.0]]), ("diameter", 0),
+     ("symmetries", [[[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]]),
+     ("stable_poses", []), ("name", 3), ("obj_id", 1.5), ("specular", 7), ("shininess", None)],
+)  # fmt: skip
+def test_invalid_numbers_are_refused(tmp_path: Path, name: str, value: object) -> None:
+    save_object(assets.load_object("ape"), tmp_path)
+    path = tmp_path / "object.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
+    with pytest.raises(InputError, match=f"{tmp_path} cannot be read.*{name}"):
+        read_object(tmp_path)
+
+
+@pytest.mark.parametrize("place", [4, 20, 60])
+def test_damaged_meshes_are_refused(tmp_path: Path, place: int) -> None:
+    """The version, and the JSON, of which trimesh guesses the encoding by a missing library."""
+    save_object(assets.load_object("ape"), tmp_path)
+    mesh = bytearray((tmp_path / "model.glb").read_bytes())
+    mesh[place] = 0xFF
+    (tmp_path / "model.glb").write_bytes(mesh)
+    with pytest.raises(InputError, match=f"{tmp_path} cannot be read"):
+        read_object(tmp_path)
+
+
+def test_endless_nesting_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "object.json").write_text("[" * 100_000)
+    with pytest.raises(InputError, match=f"{tmp_path} cannot be read"):
+        read_object(tmp_path)

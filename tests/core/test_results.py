@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from two_view_pose.core.errors import InputError
 from two_view_pose.core.results import check_record, read_results
 
 
@@ -26,3 +27,24 @@ def test_invalid_records_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "x.json").write_text("[]")
     with pytest.raises(ValueError, match="must have the keys"):
         read_results(tmp_path / "x.json")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"command": 3}, {"versions": []}, {"seed": "0"}, {"records": 3}, {"records": [3]},
+        {"records": [{"metric": "ratio", "value": None, "unit": "1"}]},
+        {"records": [{"metric": "ratio", "value": 10**400, "unit": "1"}]},
+    ],
+)  # fmt: skip
+def test_damaged_results_are_refused_by_name(tmp_path: Path, change: dict) -> None:
+    path = tmp_path / "results.json"
+    good = {"command": "evaluate", "versions": {}, "seed": None, "records": []}
+    path.write_text(json.dumps(good))
+    assert read_results(path) == good
+    path.write_text(json.dumps(good | change))
+    with pytest.raises(InputError, match=r"results\.json"):
+        read_results(path)
+    path.write_text("[" * 100_000)
+    with pytest.raises(InputError, match=r"results\.json is not JSON"):
+        read_results(path)

@@ -1,6 +1,7 @@
 """Camera matrices and relative poses in the files that other tools write."""
 
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -85,10 +86,17 @@ def test_camera_matrices(tmp_path, recwarn, name, content, size):
         ("K.xml", {"camera_matrix": -K}, "positive focal lengths"),
         ("K.yaml", ": not: yaml [", "no matrix of numbers"),
         ("K.npz", {"zoom": K}, "none of the keys"),
+        ("K.npy", K * 1j, "complex"),
+        ("K.json", "[" * 100_000, "no matrix of numbers"),
+        ("K.json", [[10**400, 0, 0], [0, 1, 0], [0, 0, 1]], "no matrix of numbers"),
+        ("K.json", CAMERA | {"fx": 10**400}, "must be numbers"),
+        ("K.json", CAMERA | {"fx": -1}, "positive focal lengths"),
+        ("K.json", [1, 1, 1, -1, 1, 1, 0, 0, float("nan")], "NaN"),
+        ("K.txt", np.zeros((2, 2, 2)).ravel(), "must be a 3x3"),
     ],
 )
 def test_other_files_are_refused_by_name(tmp_path, name, content, match):
-    with pytest.raises(InputError, match=match):
+    with pytest.raises(InputError, match=f"{re.escape(name)}.*{match}"):
         parse_intrinsics(str(written(tmp_path / name, content)))
 
 
@@ -150,5 +158,5 @@ def test_relative_poses_with_few_decimals(tmp_path, name, content, decimals):
     ],
 )
 def test_what_is_no_rigid_motion_is_refused(tmp_path, matrix, match):
-    with pytest.raises(InputError, match=match):
+    with pytest.raises(InputError, match=rf"T\.npy.*{match}"):
         read_relative_pose(written(tmp_path / "T.npy", matrix))

@@ -156,6 +156,20 @@ def test_corrupted_files_are_rejected(tmp_path: Path, agent: Path) -> None:
     rejected("must be of shape")
     write_agent(bad, header, {**tensors, name: torch.full_like(tensors[name], torch.nan)})
     rejected("NaN")
+    for change in (
+        {"hyperparameters": {"policy_kwargs": {"net_arch": ["8"]}}},
+        {"hyperparameters": {"policy_kwargs": {"net_arch": [10**9]}}},  # would take terabytes
+        {"hyperparameters": {"policy_kwargs": {"color": 1}}},
+        {"algo": "greedy", "hyperparameters": {"width": "4"}},
+        {"observation_space": 3},
+        {"algo": "greedy", "hyperparameters": {}, "observation_space": 3},
+        {"steps": -1},
+        {"counters": {"num_timesteps": "8"}},
+    ):
+        write_agent(bad, replace(header, **change), tensors)
+        rejected(r"agent file .*bad\.safetensors")
+    save_file(tensors, bad, {"header": '{"format": ' + "9" * 5000})
+    rejected(r"bad\.safetensors has a corrupted header")
 
 
 def test_other_spaces_are_rejected(agent: Path) -> None:
@@ -183,9 +197,13 @@ def test_corrupted_checkpoint_is_rejected(config: Make) -> None:
         write_agent(path, header, {**tensors, key: value})
         with pytest.raises(ValueError, match=message):
             train_agent(longer)
-    write_agent(path, replace(header, counters={}), tensors)
-    with pytest.raises(ValueError, match="counters lack"):
-        train_agent(longer)
+    for counters, message in (
+        ({}, "counters lack"),
+        (header.counters | {"num_timesteps": 1.5}, "num_timesteps must be an integer"),
+    ):
+        write_agent(path, replace(header, counters=counters), tensors)
+        with pytest.raises(ValueError, match=rf"checkpoint\.safetensors .*{message}"):
+            train_agent(longer)
 
 
 def test_failed_write_keeps_the_old_file(agent: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ from two_view_pose.agents.training.hyperparameters import (
     algorithm_kwargs,
     load_hyperparameters,
 )
+from two_view_pose.core.errors import InputError
 from two_view_pose.envs.view_banks.bank import ViewBank
 
 ENTRIES = [
@@ -80,6 +81,8 @@ def test_rl_zoo3_conf_file(env_id: str, make_bank: Callable[..., ViewBank]) -> N
     [
         ("ppo: [", "cannot be read"),
         ("ppo: !!python/object/apply:os.system ['touch crater']", "cannot be read"),
+        ("ppo: " + "9" * 5000, "cannot be read"),
+        ("[" * 10_000, "cannot be read"),
         ("[]", "no entry ppo: ToyView-v0"),
         ("sac: {ToyView-v0: {}}", "no entry ppo: ToyView-v0"),
         ("ppo: {ToyView-v0: {color: red}}", "unknown hyper-parameters of ppo: color"),
@@ -87,6 +90,8 @@ def test_rl_zoo3_conf_file(env_id: str, make_bank: Callable[..., ViewBank]) -> N
         ("ppo: {ToyView-v0: {learning_rate: lin_fast}}", "must be lin_<number>, got 'lin_fast'"),
         ("ppo: {ToyView-v0: {policy_kwargs: 'dict(net_arch=[])'}}", "must be a mapping"),
         ("ppo: {ToyView-v0: {policy_kwargs: {optimizer_class: x}}}", "unknown policy_kwargs"),
+        ("ppo: {ToyView-v0: {policy_kwargs: {net_arch: &a [*a]}}}", "nested more than"),
+        ("ppo: {ToyView-v0: {'': 1}}", "unknown hyper-parameters of ppo"),
     ],
 )
 def test_invalid_file_is_rejected(
@@ -95,6 +100,18 @@ def test_invalid_file_is_rejected(
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "mine.yml"
     path.write_text(text)
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=message) as caught:
         algorithm_kwargs(load_hyperparameters("ppo", "ToyView-v0", path))
+    assert str(path) in str(caught.value)
     assert not (tmp_path / "crater").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("width", "4"), ("networks", 0), ("features_dim", 10**9), ("dropout", 2), ("sure", None)],
+)
+def test_greedy_numbers_are_checked(tmp_path: Path, name: str, value: object) -> None:
+    path = tmp_path / "mine.yml"
+    path.write_text(yaml.safe_dump({"greedy": {"ToyView-v0": {name: value}}}))
+    with pytest.raises(InputError, match=rf"mine\.yml.*{name} must be"):
+        load_hyperparameters("greedy", "ToyView-v0", path)

@@ -216,3 +216,18 @@ def test_a_texture_without_coordinates_is_refused(tmp_path: Path) -> None:
     path = write_glb(tmp_path / "a.glb", given, {"TEXCOORD_0": MIDDLE}, (png(RED),))
     with pytest.raises(ValueError, match=r"'paint' has a texture, but .* no TEXCOORD_1"):
         read_parts(path)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        material(baseColorFactor=[1, 0.5, 0.5]),
+        material(baseColorFactor=[1, 0.5, float("nan"), 1]),
+        material() | {"emissiveFactor": [1, 0.5]},
+        material() | {"alphaMode": "MASK", "alphaCutoff": "half"},
+    ],
+)
+def test_materials_of_other_numbers_are_refused(tmp_path: Path, given: dict[str, Any]) -> None:
+    path = write_glb(tmp_path / "a.glb", given)
+    with pytest.raises(ValueError, match=r"a\.glb, material 0.* (not finite|no number)"):
+        read_parts(path)

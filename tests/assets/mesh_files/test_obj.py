@@ -62,9 +62,11 @@ def test_options_move_the_texture(tmp_path: Path) -> None:
         ("map_Kd -s 1 1 1", "names no file|which is not in"),
         ("Kd spectral red.rfl", "Kd spectral red.rfl is not a color"),
         ("Kd -1 0 0", "colors from -1 to 0"),
+        ("map_Kd -s 1 inf 1 part.png", r"part\.obj.* texture coordinates that are not finite"),
     ],
 )
 def test_what_cannot_be_read_is_refused(tmp_path: Path, lines: str, message: str) -> None:
+    (tmp_path / "part.png").write_bytes(png(RED))
     path = write_material(tmp_path / "part.obj", lines)
     with pytest.raises(ValueError, match=message):
         read_parts(path)
@@ -122,4 +124,11 @@ def test_some_colored_vertices_are_refused(tmp_path: Path) -> None:
     path = write_obj(tmp_path / "part.obj", "200 40 40")
     path.write_text(path.read_text() + "v 1 1 1\n")
     with pytest.raises(ValueError, match="for some of its vertices only"):
+        read_parts(path)
+
+
+def test_vertices_of_two_numbers_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "part.obj"
+    path.write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
+    with pytest.raises(ValueError, match=r"part\.obj"):
         read_parts(path)

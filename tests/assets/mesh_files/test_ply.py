@@ -84,3 +84,10 @@ def test_what_cannot_be_read_is_refused(
 def test_comments_in_latin_1(tmp_path: Path) -> None:
     path = write_ply(tmp_path / "a.ply", properties("uchar"), "200 40 40", comment="comment für")
     np.testing.assert_allclose(colors_of(path), [RED] * 4, atol=0.5)
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "1e30"])
+def test_numbers_that_no_integer_holds_are_refused(tmp_path: Path, value: str) -> None:
+    path = write_ply(tmp_path / "part.ply", properties("uchar"), f"{value} 40 40")
+    with pytest.raises(ValueError, match=r"part\.ply has NaN, infinite or too large"):
+        read_parts(path)

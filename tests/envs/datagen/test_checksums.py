@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 from two_view_pose.__main__ import main
-from two_view_pose.envs.datagen.checksums import find_problems, read_sums
+from two_view_pose.core.errors import InputError
+from two_view_pose.envs.datagen.checksums import SUMS_FILE, find_problems, read_sums, write_sums
 from two_view_pose.envs.datagen.generate import GenerateConfig, generate
 
 pytestmark = pytest.mark.slow
@@ -122,3 +123,15 @@ def test_broken_lists_are_named(root: Path) -> None:
     (root / "SHA256SUMS").write_text("rubbish\n")
     with pytest.raises(ValueError, match="line 1 is not a checksum: 'rubbish'"):
         list(find_problems(root))
+
+
+def test_lists_in_other_encodings_are_read_or_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("a")
+    write_sums(tmp_path)
+    path = tmp_path / SUMS_FILE
+    text = path.read_text()
+    path.write_text(text, encoding="utf-16")
+    assert read_sums(tmp_path).keys() == {"a.txt"}
+    path.write_text(text + "\xe9", encoding="latin-1")
+    with pytest.raises(InputError, match=SUMS_FILE):
+        read_sums(tmp_path)

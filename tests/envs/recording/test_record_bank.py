@@ -150,3 +150,16 @@ def test_wrong_arguments(tmp_path: Path) -> None:
             RecordBankConfig(**{"out": tmp_path / "bank.npz", **arguments})
     with pytest.raises(FileNotFoundError, match="record-bank"):
         record_bank(RecordBankConfig(out=tmp_path / "none.npz", verify=True))
+
+
+def test_a_damaged_part_is_named(config: RecordBankConfig, tmp_path: Path) -> None:
+    """All parts are there, one of them is damaged, as after a fault of the disk."""
+    killed = replace(config, out=tmp_path / "killed.npz")
+    record_bank(config)
+    bank = read_bank(config.out)
+    for i in range(config.scenes):
+        write_arrays(killed.part_path(i), bank.subset(slice(i, i + 1)).arrays())
+    part = killed.part_path(1)
+    part.write_bytes(part.read_bytes()[:200])
+    with pytest.raises(ValueError, match=f"{part.name}: .* damaged.*delete it"):
+        record_bank(killed)

@@ -8,7 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from two_view_pose.envs.view_banks.bank import ViewBank, concatenate, read_bank, write_bank
+from two_view_pose.core.errors import InputError
+from two_view_pose.envs.view_banks.bank import (
+    ViewBank,
+    concatenate,
+    read_arrays,
+    read_bank,
+    write_bank,
+)
 
 Make = Callable[..., ViewBank]
 
@@ -65,6 +72,14 @@ def test_invalid_files(make_bank: Make, tmp_path: Path) -> None:
     for change, message in (
         ({"format": "another"}, "must have the format"),
         ({"more": 1}, "corrupted"),
+        ({"object_names": "duck"}, "corrupted"),
+        ({"object_names": [1, 2, 3]}, "corrupted"),
+        ({"diameters": [0.1]}, "corrupted"),
+        ({"diameters": [0.1, 0.1, float("nan")]}, "corrupted"),
+        ({"candidate_views": [[0, 30]]}, "corrupted"),
+        ({"candidate_views": 3}, "corrupted"),
+        ({"settings": []}, "corrupted"),
+        ({"seed": None}, "corrupted"),
     ):
         path.write_bytes(valid)
         with np.load(path) as file:
@@ -81,3 +96,14 @@ def test_pickles_are_not_loaded(tmp_path: Path) -> None:
     np.savez(path, header=np.array([{"format": "trap"}], dtype=object))
     with pytest.raises(ValueError, match="not a valid view bank"):
         read_bank(path)
+
+
+def test_damaged_compression_is_refused_by_name(make_bank: Make, tmp_path: Path) -> None:
+    path = tmp_path / "bank.npz"
+    write_bank(path, make_bank(3))
+    content = bytearray(path.read_bytes())
+    content[60:160] = bytes(100)  # zlib's data of the first array
+    path.write_bytes(content)
+    for read in (read_bank, read_arrays):
+        with pytest.raises(InputError, match=r"bank\.npz"):
+            read(path)

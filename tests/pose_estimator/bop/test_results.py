@@ -93,7 +93,7 @@ def test_header_is_optional_and_rotations_may_be_rounded(tmp_path):
         (GOOD.replace("1 0 0 0 1 0", "-1 0 0 0 1 0"), r"determinant -1"),
         (GOOD.replace("0.75", "inf"), r"field 'score' is NaN, infinite"),
         (GOOD.replace("0.125", ""), r"field 'time' must be a number"),
-        (GOOD.replace("3,7,5", "3,7.5,5"), r"im_id: expected an integer, got '7\.5'"),
+        (GOOD.replace("3,7,5", "3,7.5,5"), r"im_id: expected an integer >= 0, got '7\.5'"),
         (GOOD.replace("3,7,5", "4,7,5"), r"scene_id 4 is not in the dataset.* has 3"),
         (GOOD.replace("3,7,5", "3,9,5"), r"im_id 9 is not in the dataset.* has 6, 7"),
         (GOOD.replace("3,7,5", "3,7,8"), r"obj_id 8 is not in the dataset.* has 5, 6"),

@@ -23,7 +23,7 @@ from two_view_pose.pose_estimator.fusion.depth_agreement import agrees, check_de
 from two_view_pose.pose_estimator.fusion.frontend import EncodedView
 from two_view_pose.pose_estimator.fusion.rgbd import RgbdEstimator
 from two_view_pose.pose_estimator.fusion.single import SingleViewEstimator
-from two_view_pose.pose_estimator.input_files import DepthMap
+from two_view_pose.pose_estimator.input_files import DepthMap, read_depth_map
 from two_view_pose.pose_estimator.networks.container import PoseNetworks
 from two_view_pose.pose_estimator.networks.point_voting import PointConfig, PointVotes
 from two_view_pose.pose_estimator.types import Roi
@@ -202,6 +202,12 @@ def test_an_object_beyond_the_sensors_range_is_refused(estimator, depth):
 def test_negative_depth_is_refused(depth):
     with pytest.raises(InputError, match=r"depth must not be negative .* got -1\.1"):
         view(-depth)
+
+
+def test_a_file_of_negative_depth_is_refused_by_name(tmp_path):
+    np.save(tmp_path / "d.npy", np.full((4, 4), -0.9))
+    with pytest.raises(InputError, match=r"d\.npy must not be negative"):
+        read_depth_map(tmp_path / "d.npy")
 
 
 def test_further_views_are_ignored_and_answers_repeat(estimator, depth):

@@ -183,3 +183,10 @@ def test_an_empty_report_has_no_tables(tmp_path):
 def test_missing_results_are_an_error(tmp_path):
     with pytest.raises(ValueError, match=r"no results\.json"):
         write_report(tmp_path)
+
+
+def test_results_of_another_command_are_refused(tmp_path):
+    record = {"metric": "test_set", "value": 60, "unit": "pairs"}
+    write_results(tmp_path / "results.json", [record], command="evaluate", seed=0)
+    with pytest.raises(ValueError, match=r"results\.json is not of a study, or damaged"):
+        write_report(tmp_path)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 from torch import nn
+from two_view_pose.core.errors import InputError
 from two_view_pose.pose_estimator.training.checkpoints import (
     load_checkpoint,
     read_counters,
@@ -53,3 +54,24 @@ def test_a_failed_save_keeps_the_old_checkpoint(tmp_path: Path, monkeypatch):
     with pytest.raises(OSError, match="disk full"):
         save_checkpoint(path, network(0.7), {}, {"step": 2})
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("damage", ["truncated", "step", "negative", "nan"])
+def test_damaged_checkpoints_are_refused_by_name(tmp_path: Path, damage: str):
+    path, net = tmp_path / "features.safetensors", network(0.5)
+    if damage == "nan":
+        nn.init.constant_(net[0].bias, torch.nan)
+    step = {"step": "x", "negative": -1}.get(damage, 7)
+    save_checkpoint(path, net, {}, {"step": step})  # type: ignore[dict-item]
+    if damage == "truncated":
+        path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(InputError, match=r"features\.safetensors is damaged.*delete it"):
+        load_checkpoint(network(0.1), path)
+        read_counters(path)
+
+
+def test_missing_counters_are_refused(tmp_path: Path):
+    path = tmp_path / "features.safetensors"
+    save_checkpoint(path, network(0.5), {}, {"step": 7})
+    with pytest.raises(InputError, match=r"features\.safetensors is damaged"):
+        read_counters(path, "averaged")

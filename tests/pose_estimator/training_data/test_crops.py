@@ -3,15 +3,22 @@
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from two_view_pose.core.errors import InputError
 from two_view_pose.core.geometry import LINEMOD_K, crop_matrix, project
 from two_view_pose.core.image_crop import warp_crop
 from two_view_pose.pose_estimator.bop.dataset import read_dataset
 from two_view_pose.pose_estimator.training_data.crop_packing import pack_dataset
-from two_view_pose.pose_estimator.training_data.crops import STORED_SCALE, STORED_SIDE, CropPack
+from two_view_pose.pose_estimator.training_data.crops import (
+    STORED_SCALE,
+    STORED_SIDE,
+    CropPack,
+    open_pack,
+)
 
 
 def dot(position: tuple[float, float], sigma: float) -> np.ndarray:
@@ -148,3 +155,20 @@ def test_a_missing_split_is_an_error(dataset, boxes):
 
 def test_the_camera_of_the_dataset_is_linemods(pack: CropPack):
     assert np.allclose(pack.K, LINEMOD_K)
+
+
+@pytest.mark.parametrize("damage", ["truncated", "spans", "K"])
+def test_a_damaged_pack_is_refused_by_name(
+    pack: CropPack, dataset: Path, tmp_path: Path, damage: str
+) -> None:
+    folder = shutil.copytree(dataset / "packed_train_pbr", tmp_path / "pack")
+    path = folder / "index.npz"
+    if damage == "truncated":
+        path.write_bytes(path.read_bytes()[:500])
+    else:
+        with np.load(path) as file:
+            arrays = dict(file)
+        arrays[damage] = arrays[damage] * 1000 if damage == "spans" else arrays[damage][:, :2]
+        np.savez(path, **arrays)
+    with pytest.raises(InputError, match=f"{folder} is damaged.*delete it"):
+        open_pack(folder, pack.object_names)
