@@ -146,11 +146,19 @@ def to_rgb(image: Image.Image, name: str) -> np.ndarray:
         )
 
 
+def check_image_suffix(path: Path, name: str) -> None:
+    """Raises InputError if an image cannot be written to ``path``, the option ``name``."""
+    if path.suffix.lower() not in IMAGE_SUFFIXES:
+        raise InputError(f"{name} must end in {', '.join(IMAGE_SUFFIXES)}, got {path}")
+
+
 def write_image(path: Path, image: np.ndarray) -> None:
     """Writes an image (H, W, 3) uint8 RGB atomically, as its suffix says; see `IMAGE_SUFFIXES`."""
     buffer = io.BytesIO()
     kind = Image.registered_extensions()[path.suffix.lower()]
-    Image.fromarray(image).save(buffer, kind, compress_level=1)  # of PNG, three times as fast
+    Image.fromarray(image).save(
+        buffer, kind, compress_level=1, quality=90
+    )  # PNGs faster, JPEGs finer
     write_atomically(path, buffer.getvalue())
 
 

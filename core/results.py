@@ -93,7 +93,7 @@ def write_results(
     command: str,
     seed: int | None,
 ) -> None:
-    """Writes a results file atomically.
+    """Writes a results file atomically, each record on a line of its own.
 
     Args:
         path: the JSON file; its folder is created.
@@ -104,13 +104,11 @@ def write_results(
     Raises:
         InputError: if a record is malformed.
     """
-    document = {
-        "command": command,
-        "versions": versions(),
-        "seed": seed,
-        "records": [check_record(record) for record in records],
-    }
-    write_atomically(path, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+    document = {"command": command, "versions": versions(), "seed": seed, "records": []}
+    head = json.dumps(document, indent=1).removesuffix("[]\n}")
+    lines = [json.dumps(check_record(record), allow_nan=False) for record in records]
+    listed = "[\n  " + ",\n  ".join(lines) + "\n ]" if lines else "[]"
+    write_atomically(path, f"{head}{listed}\n}}\n".encode())
 
 
 def read_results(path: str | os.PathLike[str]) -> dict[str, Any]:

@@ -251,11 +251,10 @@ class ViewSelectionEnv(CopyableEnv, gym.Env[Observation, Any]):
         if self.render_mode is None:
             gym.logger.warn("You are calling render method without specifying any render mode.")
             return None
-        frame = self.figure()
         if self.render_mode == "human":
-            self._window.show(frame)
+            self._window.show(self.figure())
             return None
-        return frame
+        return self.figure()
 
     def figure(self) -> np.ndarray:
         """Both views with the true and the estimated outlines: RGB uint8, (664, 1360, 3)."""

@@ -36,14 +36,15 @@ def test_demo_writes_an_image_and_the_errors(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
         protocol, "load_shipped", lambda method, device: ImprovingEstimator(T_cam_obj)
     )
-    image, results = tmp_path / "demo.png", tmp_path / "demo.json"
+    image, results = tmp_path / "demo.jpg", tmp_path / "demo.json"
     frames = []
     for _ in range(2):
         command = f"demo --object can --seed 3 --out {image} --json {results}"
         assert main(command.split()) == 0
         frames.append(image.read_bytes())
     assert frames[0] == frames[1]
-    assert Image.open(image).width >= 1280
+    with Image.open(image) as picture:
+        assert picture.format == "JPEG" and picture.width >= 1280
 
     records = json.loads(results.read_text())["records"]
     ratios = [r["value"] for r in records if r["metric"] == "add_over_diameter"]

@@ -1,6 +1,5 @@
 """The command ``demo``: runs one episode, prints its errors and writes an image."""
 
-import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +8,10 @@ from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
-from PIL import Image
 
 from ...core.device import check_device
 from ...core.errors import InputError
-from ...core.files import write_atomically
+from ...core.images import check_image_suffix, write_image
 from ...core.results import write_results
 from ...core.validation import require_within
 from ...envs.simulation.scene_kinds import SceneKindName
@@ -45,6 +43,7 @@ class DemoConfig:
 
     def __post_init__(self) -> None:
         require_within(self, 0, math.inf, "seed")
+        check_image_suffix(self.out, "out")
         if self.policy == "stay":
             raise InputError("policy must take a second view, got 'stay'")
 
@@ -75,9 +74,7 @@ def demo(config: DemoConfig) -> None:
         frame: Any = env.render()
     finally:
         env.close()
-    image = io.BytesIO()
-    Image.fromarray(frame).save(image, format="png")
-    write_atomically(config.out, image.getvalue())
+    write_image(config.out, frame)
     _print(config, info, perf_counter() - start)
     if config.json is not None:
         command = f"demo --scene {config.scene} --policy {config.policy} --seed {config.seed}"

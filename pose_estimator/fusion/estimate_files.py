@@ -11,9 +11,9 @@ from warnings import warn
 import numpy as np
 
 from ...core.device import check_device
-from ...core.errors import InputError, InputWarning
+from ...core.errors import InputWarning
 from ...core.files import write_atomically
-from ...core.images import IMAGE_SUFFIXES, write_image
+from ...core.images import check_image_suffix, write_image
 from ...core.results import write_results
 from .estimate_config import EstimateConfig
 
@@ -49,8 +49,8 @@ def estimate_files(config: EstimateConfig) -> None:
         InputError: if an input is wrong; the message names it.
     """
     check_device(config.device)
-    if config.overlay is not None and config.overlay.suffix.lower() not in IMAGE_SUFFIXES:
-        raise InputError(f"overlay must end in {', '.join(IMAGE_SUFFIXES)}, got {config.overlay}")
+    if config.overlay is not None:
+        check_image_suffix(config.overlay, "overlay")
     from .view_files import read_depth, read_views
 
     depth = read_depth(config)
