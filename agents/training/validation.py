@@ -28,8 +28,8 @@ def record_missing(config: TrainAgentConfig) -> None:
     from ...envs.recording.record_bank import record_bank
 
     for path, scenes, seed, estimates in (
-        (config.bank, 1000, 101, True),
-        (config.visibility_bank, 2500, 303, False),
+        (config.bank, 600, 101, True),
+        (config.visibility_bank, 1500, 303, False),
     ):
         if path is not None and not path.exists():
             settings: dict[str, Any] = {"scenes": scenes, "seed": seed, "estimates": estimates}
