@@ -104,8 +104,8 @@ def write_results(
     Raises:
         InputError: if a record is malformed.
     """
-    document = {"command": command, "versions": versions(), "seed": seed, "records": []}
-    head = json.dumps(document, indent=1).removesuffix("[]\n}")
+    document: dict[str, Any] = {"command": command, "versions": versions(), "seed": seed}
+    head = json.dumps(document | {"records": []}, indent=1).removesuffix("[]\n}")
     lines = [json.dumps(check_record(record), allow_nan=False) for record in records]
     listed = "[\n  " + ",\n  ".join(lines) + "\n ]" if lines else "[]"
     write_atomically(path, f"{head}{listed}\n}}\n".encode())
