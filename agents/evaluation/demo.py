@@ -43,7 +43,6 @@ class DemoConfig:
 
     def __post_init__(self) -> None:
         require_within(self, 0, math.inf, "seed")
-        check_image_suffix(self.out, "out")
         if self.policy == "stay":
             raise InputError("policy must take a second view, got 'stay'")
 
@@ -56,6 +55,7 @@ def demo(config: DemoConfig) -> None:
         GraphicsUnavailable: if OpenGL is unavailable.
     """
     check_device(config.device)
+    check_image_suffix(config.out, "out")
     start = perf_counter()
     from ..policies.registry import make_policy
 

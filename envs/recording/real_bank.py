@@ -64,7 +64,9 @@ class _RealRecorder:
         assert config.data is not None
         self._config = config
         root = find_dataset(config.data)
-        self._estimator: Any = pose_estimator.load(weights=config.weights, device=config.device)
+        self._estimator: Any = pose_estimator.load(
+            config.estimator, config.weights, device=config.device
+        )
         self._dataset = read_dataset(root, config.split)
         self._own = load_objects(None)
         self._names = tuple(self._own)
@@ -91,7 +93,7 @@ class _RealRecorder:
             object_names=self._names,
             diameters=tuple(float(models[name].diameter) for name in self._names),
             candidate_views=CANDIDATE_VIEWS,
-            estimator=f"mid, weights {Path(self._config.weights).name}",
+            estimator=f"{self._config.estimator}, weights {Path(self._config.weights).name}",
             seed=self._config.seed,
         )
 
