@@ -1,13 +1,15 @@
-"""Means with their 95 percent intervals: of success rates by Wilson's score, of other values by the
-percentile bootstrap.
+"""Means with their 95 percent intervals by the percentile bootstrap, or, of outcomes that are few
+or nearly all alike, by Wilson's score.
 
 Neighboring frames of a sequence are nearly the same image, so whole sequences are resampled (Efron
 and Tibshirani, *An Introduction to the Bootstrap*, chapter 8). Sequences without a common object,
 directly or through others, are resampled in separate strata, so that every resample has all objects
 equally often. A sequence that is alone in its stratum is resampled by frames.
 
-A bootstrap of a few values is far too narrow, and one of equal outcomes has no width. So success
-rates have the intervals of ``score_interval.py``, and the mean of fewer than six other values none.
+A bootstrap of a few values is far too narrow, and one of equal outcomes has no width. So the
+success rate of one group has the interval of ``score_interval.py``; so have that of several groups,
+which it combines too cautiously, unless ten sequences succeed and ten fail, and differences unless
+ten sequences differ. The mean of fewer than six other values has none.
 """
 
 from collections.abc import Hashable, Sequence
@@ -28,6 +30,9 @@ QUANTILES = ((1 - 0.95) / 2, (1 + 0.95) / 2)
 MIN_FREEDOM = 5
 """Fewest sequences less strata, six sequences of one stratum: the range of five values covers the
 median of their distribution less often than 95 percent, whatever the distribution is."""
+
+MIN_RARE = 10
+"""Fewest sequences with the rarer outcome whose bootstrap is not too narrow."""
 
 MAX_DRAWS = 1_000_000
 """Values drawn at once, which bounds the memory for long lists."""
@@ -95,15 +100,25 @@ def clustered_mean(
 
     value = float(_mean_of_means(sums.sum(0, keepdims=True), counts.sum(0, keepdims=True))[0])
     total = (len(numbers), len(set(sequences)))
-    if bounds is not None and np.isin(numbers, (*bounds, 0)).all():
-        ends = score_interval(numbers, cluster, group, differences=bounds[0] < 0)
-        return Estimate(value, *ends, *total)
     sizes = np.bincount(strata)
-    if sizes.min() == 1 or len(strata) - len(sizes) < MIN_FREEDOM:
+    few = bool(sizes.min() == 1 or len(strata) - len(sizes) < MIN_FREEDOM)
+    if bounds is not None and np.isin(numbers, (*bounds, 0)).all():
+        differences = bounds[0] < 0
+        alone = group.max() == 0 and not differences
+        if few or alone or _rare_clusters(numbers, cluster, differences) < MIN_RARE:
+            ends = score_interval(numbers, cluster, group, differences)
+            return Estimate(value, *ends, *total)
+    elif few:
         return Estimate(value, None, None, *total)
     drawn = _resampled_means(sums, counts, strata, np.random.default_rng(seed))
     low, high = np.quantile(drawn, QUANTILES)
     return Estimate(value, float(low), float(high), *total)
+
+
+def _rare_clusters(outcomes: np.ndarray, cluster: np.ndarray, differences: bool) -> int:
+    """Returns how many clusters have the rarer outcome, or any difference."""
+    changed = len(np.unique(cluster[outcomes != 0]))
+    return changed if differences else min(changed, len(np.unique(cluster[outcomes == 0])))
 
 
 def _resampled_means(

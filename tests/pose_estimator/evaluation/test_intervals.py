@@ -126,3 +126,26 @@ def test_equal_outcomes_have_wilsons_interval(value):
     wilson = binomtest(14 * int(value), 14).proportion_ci(method="wilson")
     assert (found.low, found.high) == pytest.approx((wilson.low, wilson.high), abs=1e-12)
     assert clustered_mean([value] * 14, range(14)).low == value
+
+
+def test_many_paired_outcomes_have_the_interval_of_a_paired_difference():
+    # 13 objects of 26 sequences, in each of which one method is right in 3 of 100 pairs more.
+    rng = np.random.default_rng(9)
+    values = (rng.random((338, 4)) < 0.03).astype(float)
+    found = clustered_mean(
+        values.ravel(), np.repeat(range(338), 4), np.repeat(range(13), 104), bounds=(-1, 1)
+    )
+    half = 1.96 * values.mean(axis=1).std() / np.sqrt(338)
+    assert found.high - found.low == pytest.approx(2 * half, rel=0.15)
+
+
+@pytest.mark.parametrize("share", [0.03, 0.1, 0.5])
+def test_intervals_of_outcomes_cover_their_rate_as_often_as_they_say(share):
+    rng, covered = np.random.default_rng(10), 0
+    for seed in range(200):
+        luck = rng.beta(4 * share, 4 * (1 - share), size=80)
+        values = (rng.random((80, 3)) < luck[:, None]).astype(float)
+        sequences, names = np.repeat(range(80), 3), np.repeat(range(4), 60)
+        found = clustered_mean(values.ravel(), sequences, names, bounds=(0, 1), seed=seed)
+        covered += found.low <= share <= found.high
+    assert covered / 200 > 0.9
