@@ -176,7 +176,7 @@ def test_imports_are_declared():
     assert undeclared([*benchmarks], extras) - {"benchmarks"} == {"pyrender"}
     tests = [path for path in (CHECKOUT / "tests").rglob("*.py") if path not in benchmarks]
     # pytest brings packaging along; a test may import what stands beside it.
-    own = {"benchmarks", "helpers", *(path.stem for path in tests)}
+    own = {"benchmarks", "fuzz", "helpers", "kills", *(path.stem for path in tests)}
     assert undeclared(tests, set(requirements("dev")) | {"packaging"}) - own == set()
 
 
