@@ -35,7 +35,7 @@ class TrainAgentConfig:
     """For greedy: a bank recorded with --no-estimates, to learn visibility from."""
     record: bool = False
     """Record missing banks with the shipped agents' settings: 600 occlusion scenes with estimates
-    and 1500 without, from seeds 101 and 303. Takes 45 minutes."""
+    and 1500 without, from seeds 101 and 303. Takes an hour and a half."""
     action: Literal["discrete", "box"] | None = None
     """With a bank: choose one of its views, or a point on the view sphere (mapped to its nearest
     view); by default box for sac, else discrete."""
