@@ -24,7 +24,7 @@ def loaded(monkeypatch):
     """The calls of ``load``; every device is available."""
     calls = []
 
-    def load(method, weights="linemod", *, device="auto"):
+    def load(method="mid-pnp", weights="linemod", *, device="auto"):
         calls.append((method, str(weights), device))
         return LinemodEstimator()
 
@@ -42,7 +42,7 @@ def loaded(monkeypatch):
 def test_an_estimator_is_loaded_onto_the_device(env_id, loaded):
     gym.make(env_id, device="cuda:1").close()
     gym.make(env_id, device="cuda:1", estimator="own.safetensors").close()
-    assert loaded == [("mid", "linemod", "cuda:1"), ("mid", "own.safetensors", "cuda:1")]
+    assert loaded == [("mid-pnp", "linemod", "cuda:1"), ("mid-pnp", "own.safetensors", "cuda:1")]
 
 
 def test_estimators_are_cached_per_device(loaded):
