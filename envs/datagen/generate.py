@@ -16,6 +16,7 @@ from tqdm import tqdm
 from ...core.results import versions, write_results
 from ...core.worker_pool import run_scenes
 from ...pose_estimator.bop.dataset import read_dataset
+from ...pose_estimator.bop.manifest import MANIFEST_FILE
 from ...pose_estimator.bop.models import write_evaluation_models, write_models
 from ...pose_estimator.bop.pairs import PAIRS_FILE
 from ...pose_estimator.bop.targets import TARGETS_FILE, is_test, write_targets
@@ -89,7 +90,7 @@ def write_manifest(config: GenerateConfig, object_names: tuple[str, ...]) -> Non
     unused = {name for name, kinds in _ONLY_WITH.items() if config.sampling not in kinds}
     unused |= {"unit"} if config.unit == "auto" else set()
     check_or_write_manifest(
-        config.out / "manifest.json",
+        config.out / MANIFEST_FILE,
         {k: v for k, v in settings.items() if k not in IGNORED_SETTINGS | unused},
         {"scenes": config.scenes, "versions": versions(), "checksums": SUMS_FILE},
     )
@@ -102,7 +103,7 @@ def _write_lists(config: GenerateConfig) -> None:
     if is_test(config.split):
         write_targets(read_dataset(out, config.split), range(config.scenes))
     remove_leftovers(out, out / "models", out / "models_eval")
-    files = ["manifest.json", "camera.json", PAIRS_FILE, TARGETS_FILE, "models", "models_eval"]
+    files = [MANIFEST_FILE, "camera.json", PAIRS_FILE, TARGETS_FILE, "models", "models_eval"]
     write_dataset_sums(out, config.split, files)
 
 

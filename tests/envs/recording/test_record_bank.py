@@ -109,9 +109,10 @@ def test_photographs_become_a_bank(tmp_path: Path) -> None:
         )
     )  # fmt: skip
     out = tmp_path / "real.npz"
-    record_bank(RecordBankConfig(out=out, data=root, weights="linemod"))
+    record_bank(RecordBankConfig(out=out, data=root, estimator="pnp", weights="linemod"))
     bank = read_bank(out)
     assert bank.header.source == "set" and len(bank.header.object_names) == 13
+    assert bank.header.estimator == "pnp, weights linemod"
     assert len(bank) >= 1 and bank.slots == 24
     for scene in range(len(bank)):
         cameras = bank.second_T_cam_world[scene].reshape(24, 16).round(9)
